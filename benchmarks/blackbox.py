@@ -38,9 +38,7 @@ from drives.bus import BusSpec
 from drives.errors import DriveError
 from gateway.acquire.session import RecordRequest, record
 from gateway.data.blackbox.box import BlackBox, read_box
-from gateway.data.blackbox.recorder_process import KILLED
-from gateway.data.blackbox.recovery import BOTH_KILLED, recover_box
-from gateway.data.blackbox.ring_buffer import box_of, folder_of
+from gateway.data.blackbox.ring_buffer import BOTH_KILLED, KILLED, box_of, folder_of, recover_box
 from gateway.errors import GatewayError, InputError
 from gateway.motion.opening import BusOverride, open_arm
 from sim.faults import KINDS, Fault
@@ -127,7 +125,7 @@ def _wrong(box: BlackBox, error: str, began: int, kind: str) -> str:
 
 
 def kill_master(master: Master, both: bool) -> float:
-    """End the master, and what keeps its last seconds as well; when that was (wall clock)."""
+    """End the master, and the process that writes as well; when that was (wall clock)."""
     pid = master.process.pid or 0
     beside = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()] if both else []
     killed_s = time.time()

@@ -85,10 +85,10 @@ class NodeAccess:
                 return None
             raise
 
-    def read_readable(self, entry: Entry) -> int | None:
+    def read_readable(self, entry: Entry, options: Transfer = NORMAL) -> int | None:
         """Read an object that only informs; return None if the drive refuses it or answers too short."""
         try:
-            return self.read(entry)
+            return self.read(entry, options)
         except (SdoAbort, SdoProtocolError):
             return None
 
@@ -271,6 +271,30 @@ class NodeAccess:
                 subindex=first.subindex,
                 advice="restore the drive with `servo-gateway restore CELL`, or run `config apply` again",
             )
+
+    def refuse_renamed(self) -> None:
+        """Refuse a device without serial number that holds values of a run over a bus of another name.
+
+        They would count as the originals of a new device.
+
+        Raises
+        ------
+        ConfigurationRefused
+        """
+        for entry in self._ledger.of_other_bus(self.device):
+            known = any(note.address == entry.address for note in self.noted)
+            if not known and self._held({entry.address: (entry.data_type, 0)}, entry.address) == entry.new != entry.old:
+                raise ConfigurationRefused(
+                    f"holds {entry.new:#x}, which a run wrote over {entry.bus} to a drive like this (no serial number)",
+                    node=self.node_id,
+                    index=entry.index,
+                    subindex=entry.subindex,
+                    advice="`servo-gateway restore CELL` asks whether it is the same drive, and puts its value back",
+                )
+
+    def take_over(self, entries: Sequence[LedgerEntry]) -> None:
+        """Make entries those of this device; a person has said that it is the one they were written to."""
+        self._ledger.exchange(entries, [replace(entry, bus=self.device.bus) for entry in entries])
 
     def adopt_applied(self) -> None:
         """Treat the values written by `config apply` as the original values."""

@@ -1,24 +1,42 @@
-"""Read and configure a CiA 402 drive before it takes part in the SYNC exchange."""
+"""Bring up the nodes of one arm: from the first question to a configuration that was read back.
+
+The order of the functions is that in which they run: `CONNECTING`, which writes nothing, `CONFIGURING`, and in it
+`SETTINGS` for each drive. `servo-gateway check -v` prints the first line of each.
+"""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Final, NoReturn, Protocol
+from typing import Final, NoReturn
 
-from drives.access import Entry, NodeAccess, ObjectAccess
+from drives import drive_limits, other_pdos
+from drives.access import NodeAccess, ObjectAccess
+from drives.bus import EMCY_BASE
+from drives.bus_spec import NETWORKS
+from drives.busload import load_percent
 from drives.cia402 import AT_REST, Mode, decode_state, describe
-from drives.errors import ConfigurationRefused, DriveFault, IdentityMismatch, SdoAbort, SdoProtocolError
+from drives.discovery import count_answers, is_simulator, nmt_states, read_identity, require_one
+from drives.drive import POLL_S, Cia402Drive
+from drives.errors import (
+    BusOverload,
+    ConfigurationRefused,
+    DriveError,
+    DriveFault,
+    SdoAbort,
+    raise_failures,
+)
+from drives.foreign_master import FREE_S, refuse_foreign
+from drives.heartbeat import NmtCommand, send_nmt
+from drives.instrument import Instrument
+from drives.ledger import KnownDevice, without_shared_serials
+from drives.nodes import Node, Nodes
 from drives.objects import OBJECTS
-from drives.pdo import Step
-from drives.profile import CountsFromObjects, DriveProfile, Rated
-from drives.scaling import Constants
-from drives.sdo import SdoClient
-from drives.values import Identity
+from drives.pdo import VELOCITY_OFFSET, Step
+from drives.scaling import read_constants
 
-#: Time between two readings of what a drive takes a moment to do.
-POLL_S: Final = 0.005
 _SYNC_PRODUCER: Final = 1 << 30
 #: Quick stop options (0x605A) with which the drive goes to SWITCH ON DISABLED at the end of its quick stop (CiA 402-2).
 ENDING_OPTIONS: Final = (1, 2, 3)
@@ -26,107 +44,144 @@ ENDING_OPTIONS: Final = (1, 2, 3)
 RAMP_OPTION: Final = 2
 #: Exponents of 0x60C2:02 in the order in which they are tried after the drive's own.
 PERIOD_EXPONENTS: Final = (-3, -4, -5, -6, -2, -1)
-#: Value of object 0x5FFE of a simulated node.
-SIMULATOR_NAME: Final = "servo-sim"
 #: 0x1014: the emergency object does not exist; and: it has an identifier of 29 bits.
 _EMCY_OFF: Final = 1 << 31
 _LONG_ID: Final = 1 << 29
 
-
-def read_identity(sdo: SdoClient) -> Identity:
-    """Read identity and version objects of a node; an object that it does not have, or refuses, is None."""
-
-    def number(name: str) -> int | None:
-        entry = OBJECTS[name]
-        try:
-            return sdo.read(entry.index, entry.subindex, entry.type)
-        except (SdoAbort, SdoProtocolError):
-            return None
-
-    def text(name: str) -> str | None:
-        try:
-            return sdo.read_text(OBJECTS[name].index)
-        except SdoAbort:
-            return None
-
-    return Identity(
-        node_id=sdo.node_id,
-        device_type=number("device_type"),
-        vendor_id=number("vendor_id"),
-        product_code=number("product_code"),
-        revision=number("revision"),
-        serial_number=number("serial_number"),
-        name=text("device_name"),
-        hardware_version=text("hardware_version"),
-        software_version=text("software_version"),
-    )
+# -- connecting: nothing is written ------------------------------------------------------------------------------------
 
 
-def is_simulator(sdo: SdoClient) -> bool:
-    """Return whether a node reports that it is simulated; a node without the object counts as real.
+def listen_for_masters(nodes: Nodes) -> None:
+    """Listen whether another master is active on the bus, before anything is sent."""
+    refuse_foreign(nodes.bus, max(FREE_S, 3.0 * nodes.timing.period_s), nodes.master_node_id)
 
-    Raises
-    ------
-    SdoTimeout, SdoProtocolError
-        The node does not respond.
+
+def identify(nodes: Nodes, *, wakes: bool = True) -> None:
+    """Ask each node id how many devices answer, read each identity, and compare it with profile and cell.
+
+    Failures of nodes are in `Nodes.failures_found`. `wakes`: as `count_answers`.
     """
-    entry = OBJECTS["simulator_name"]
-    try:
-        return sdo.read_text(entry.index, entry.subindex) == SIMULATOR_NAME
-    except SdoAbort:
-        return False
+    timeout_s = max(setup.profile.sdo.timeout_s for setup in nodes.setups)
+    answers = count_answers(nodes.bus, nodes.node_ids, timeout_s, wakes=wakes)
+    states = nmt_states(nodes.bus, [node_id for node_id, number in answers.items() if number == 0])
+    nodes.drives = tuple(Cia402Drive(nodes.bus, setup, nodes.ledger) for setup in nodes.setups)
+    nodes.instruments = tuple(Instrument(nodes.bus, setup, nodes.ledger) for setup in nodes.options.instruments)
+
+    def compare(node: Node) -> None:
+        require_one(node.node_id, answers[node.node_id], states.get(node.node_id))
+        node.identity = read_identity(node.access.sdo)
+        node.access.device = KnownDevice.of(node.identity, nodes.bus.spec.name)
+        node.check_identity()
+
+    nodes.failures_found = nodes.failures(compare, nodes.all)
+    devices = without_shared_serials([node.access.device for node in nodes.all])
+    for node, device in zip(nodes.all, devices, strict=True):
+        node.access.device = device
 
 
-def emergency_id(access: NodeAccess) -> int | None:
-    """CAN id of the emergency messages of a node (0x1014); None = not stated, the standard identifier applies.
+def admit(nodes: Nodes) -> None:
+    """Refuse a real drive in lockstep, and on a network that any computer can write to."""
+    lockstep = nodes.timing.pacing == "lockstep"
+    network = nodes.bus.spec.interface in NETWORKS and not nodes.options.allow_real_drive
 
-    Raises
-    ------
-    ConfigurationRefused
-        It sends none, or with an id that is not listened to.
-    """
-    entry = OBJECTS["emcy_cob_id"]
+    def refuse_real(node: Node) -> None:
+        if not (lockstep or network) or is_simulator(node.access.sdo):
+            return
+        what = f"is not a simulator (object 0x5FFE), and any computer on {nodes.bus.spec} can write frames to it"
+        advice = "connect it through its own CAN adapter, or accept the risk with allow_real_drive = true for this bus"
+        if lockstep:
+            what = "is not a simulator (object 0x5FFE): in lockstep it would receive SYNC as fast as it responds"
+            advice = 'write pacing = "real" for this bus in the cell'
+        raise ConfigurationRefused(what, node=node.node_id, advice=advice)
+
+    nodes.each(refuse_real)
+
+
+def receive_emergencies(nodes: Nodes) -> None:
+    """Receive the emergency messages of each drive (0x1014); refuse one that sends none."""
+    taken = {can_id for node in nodes.all for can_id, _ in node.answers}
+
+    def receive(drive: Cia402Drive) -> None:
+        standard = EMCY_BASE + drive.node_id
+        can_id = _emergency_id(drive.access) or standard
+        if can_id in taken:
+            what = f"EMCY messages use the identifier {can_id:03X}, which another message also uses"
+            drive.access.refuse(OBJECTS["emcy_cob_id"], what, f"set 0x1014 to {standard:#x} in the drive")
+        taken.add(can_id)
+        nodes.emcy.listen(nodes.bus, drive.node_id, can_id)
+
+    raise_failures(nodes.failures(receive, nodes.drives))
+
+
+def _emergency_id(access: NodeAccess) -> int | None:
+    """Return the CAN id of the emergency messages of a node; None = not stated, the standard identifier applies."""
+    entry, standard = OBJECTS["emcy_cob_id"], f"set 0x1014 to {EMCY_BASE + access.node_id:#x} in the drive"
     cob_id = access.read_optional(entry)
     if cob_id is None:
         return None
     if cob_id & _EMCY_OFF:
         what = f"EMCY messages are switched off (0x1014 = {cob_id:#010x}): a fault would not be explained"
-        access.refuse(entry, what, f"set 0x1014 to {0x80 + access.node_id:#x} in the drive")
+        access.refuse(entry, what, standard)
     if cob_id & _LONG_ID or not 0x080 < cob_id & 0x7FF < 0x780:
         what = f"EMCY messages use the identifier {cob_id:#010x}, which this master does not receive"
-        access.refuse(entry, what, f"set 0x1014 to {0x80 + access.node_id:#x} in the drive")
+        access.refuse(entry, what, standard)
     return cob_id & 0x7FF
 
 
-def check_identity(identity: Identity, profile: DriveProfile) -> None:
-    """Compare the identity of a device with its profile.
-
-    Raises
-    ------
-    IdentityMismatch
-        Vendor, product, firmware or device type differ; one error lists all differences.
-    """
-    problems = identity.mismatches(profile)
-    if identity.device_type is not None and not identity.is_drive:
-        problems.append(f"device type {identity.device_type:#010x} is not a CiA 402 drive")
-    if problems:
-        raise IdentityMismatch(
-            f"{'; '.join(problems)} (profile {profile.name})",
-            node=identity.node_id,
-            index=0x1018,
-            subindex=1,
-            advice="check wiring and node ids, or choose the profile of this drive and firmware",
-        )
+# -- configuring -------------------------------------------------------------------------------------------------------
 
 
-def check_at_rest(access: ObjectAccess) -> None:
-    """Refuse a drive that is already enabled.
+def take_over_applied(nodes: Nodes) -> None:
+    """Take the values of `config apply` as the originals; refuse a node whose originals are not certain."""
+    nodes.each(lambda node: node.access.refuse_unfinished())
+    nodes.each(lambda node: node.access.refuse_renamed())
+    nodes.each(lambda node: node.access.adopt_applied())
 
-    Raises
-    ------
-    DriveFault
-        The drive is enabled.
-    """
+
+def survey_pdos(nodes: Nodes) -> None:
+    """Read which PDOs are valid that the exchange does not use."""
+
+    def survey(node: Node) -> None:
+        node.other_pdos = other_pdos.other_pdos(node.access, {plan.communication for plan in node.plans})
+        node.left_pdos = tuple(pdo for pdo in node.other_pdos if not pdo.may_be_switched_off)
+
+    nodes.each(survey)
+
+
+def check_load(nodes: Nodes) -> None:
+    """Refuse a worst-case bus load above the limit (real time)."""
+    spec, allowed, bits = nodes.bus.spec, nodes.options.load_limit_percent, nodes.cycle_bits
+    load = load_percent(bits, nodes.timing.period_s, spec.bitrate_bit_s)
+    if nodes.timing.pacing == "real" and load > allowed:
+        period_s = bits / (spec.bitrate_bit_s * allowed / 100.0)
+        what = f"the exchange would fill {load:.0f} % of {spec} in the worst case, {allowed:.0f} % are allowed"
+        raise BusOverload(what, advice=f"set sync_period_s to at least {math.ceil(period_s * 1e4) / 1e4:.4f}")
+
+
+def set_up(nodes: Nodes) -> None:
+    """Read and write the settings of each node; everything is read back."""
+
+    def settle(node: Node) -> None:
+        if isinstance(node, Instrument):
+            for setting in DEVICE_SETTINGS:
+                setting(node, nodes.timing.period_s)
+            return
+        for setting in SETTINGS:
+            setting(node, nodes.timing.period_s)
+
+    nodes.each(settle)
+
+
+# -- settings of one node, in their order ------------------------------------------------------------------------------
+
+
+def check_disabled(drive: Cia402Drive, _period_s: float) -> None:
+    """Refuse a drive that is already enabled."""
+    refuse_enabled(drive.access)
+
+
+def refuse_enabled(access: ObjectAccess) -> None:
+    """Refuse a drive that is enabled; raises `DriveFault`."""
     status = access.read(OBJECTS["statusword"])
     if decode_state(status) not in AT_REST:
         raise DriveFault(
@@ -138,88 +193,45 @@ def check_at_rest(access: ObjectAccess) -> None:
         )
 
 
-class Readable(Protocol):
-    """Source of a drive's constants: the drive itself, or its recorded SDO responses."""
-
-    @property
-    def profile(self) -> DriveProfile:
-        """Return the drive's profile."""
-        ...
-
-    def read(self, entry: Entry, /) -> int:
-        """Return the value of an object."""
-        ...
-
-    def refuse(self, entry: Entry, what: str, advice: str, /) -> NoReturn:
-        """Raise `ConfigurationRefused` about an object."""
-        ...
+def read_scale(drive: Cia402Drive, period_s: float) -> None:
+    """Read rated values and encoder resolution (scaling of the profile)."""
+    drive.set_scale(read_constants(drive.access), period_s)
 
 
-def read_constants(access: Readable) -> Constants:
-    """Read the constants that the profile takes from the drive: rated values and encoder resolution.
-
-    Raises
-    ------
-    ConfigurationRefused
-        A value of zero.
-    SdoError
-        An object cannot be read.
-    """
-    profile = access.profile
-    return Constants(
-        torque_rated=_rated(access, profile.torque.rated),
-        current_rated_a=None if profile.current is None else _rated(access, profile.current.rated),
-        offset_rated=None if profile.torque_offset is None else _rated(access, profile.torque_offset.rated),
-        counts_per_revolution=read_resolution(access),
-    )
+def check_units(device: Instrument, _period_s: float) -> None:
+    """Compare the units of a measuring device with the cell (0x6131, 0x6132)."""
+    device.check_units()
 
 
-def read_resolution(access: Readable) -> float:
-    """Return the position counts of one motor revolution; raises as `read_constants`."""
-    counts = access.profile.position.counts_per_revolution
-    if not isinstance(counts, CountsFromObjects):
-        return counts.value
-    per = 1 if counts.per is None else access.read(counts.per)
-    if counts.per is not None and per == 0:
-        access.refuse(counts.per, "is 0", "set the encoder resolution in the drive")
-    return access.read(counts.object) / per
-
-
-def _rated(access: Readable, rated: Rated | None) -> float | None:
-    if rated is None or rated.object is None or rated.unit is None:
-        return None if rated is None else rated.value
-    raw = access.read(rated.object)
-    if raw <= 0:
-        access.refuse(rated.object, f"the rated value is {raw}", "set it in the drive, or give it in the profile")
-    return raw * rated.unit
-
-
-def check_sync(access: NodeAccess) -> None:
-    """Check that the drive consumes SYNC with the standard identifier and without a counter.
-
-    Raises
-    ------
-    ConfigurationRefused
-        The drive expects another SYNC identifier, or produces SYNC itself.
-    """
+def check_sync(node: Node, _period_s: float) -> None:
+    """Refuse a node that takes SYNC with another identifier or a counter, or produces it (0x1005, 0x1019)."""
+    access = node.access
     cob_id = access.read_optional(OBJECTS["sync_cob_id"])
     if cob_id is not None and (cob_id & 0x7FF != 0x080 or cob_id & _SYNC_PRODUCER):
         what = f"SYNC COB-ID is {cob_id:#010x}: it must be 0x80, and the drive must not produce SYNC"
         access.refuse(OBJECTS["sync_cob_id"], what, "set 0x1005 to 0x80")
     overflow = access.read_optional(OBJECTS["sync_counter_overflow"])
     if overflow:
-        access.refuse(
-            OBJECTS["sync_counter_overflow"],
-            f"expects SYNC frames with a counter (0x1019 = {overflow})",
-            "set 0x1019 to 0",
-        )
+        what = f"expects SYNC frames with a counter (0x1019 = {overflow})"
+        access.refuse(OBJECTS["sync_counter_overflow"], what, "set 0x1019 to 0")
 
 
-def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
-    """Make sure that a node does not supervise a SYNC period (0x1006) that differs from the master's.
+def leave_operational(node: Node, _period_s: float) -> None:
+    """Command NMT state PRE-OPERATIONAL, in which no PDO is sent or taken."""
+    send_nmt(node.access.bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
 
-    SYNC pauses while nothing moves; a node that supervises the period would raise a communication error then. The
-    object is set to 0 (no supervision), or to our period where the node does not take 0.
+
+def clear_velocity_offset(drive: Cia402Drive, _period_s: float) -> None:
+    """Write 0 to the velocity offset (0x60B1) where this run or an earlier one uses it."""
+    rpdo = drive.commands[0]
+    if drive.setup.feedforward or drive.access.is_in_ledger(VELOCITY_OFFSET.index, rpdo.mapping + 1):
+        drive.access.write(VELOCITY_OFFSET, 0, "clear the velocity offset of an earlier run")
+
+
+def settle_sync_period(node: Node, period_s: float) -> None:
+    """End the node's own supervision of the SYNC period (0x1006), since SYNC pauses while nothing moves.
+
+    The object is set to 0, or to our period where the node does not take 0.
 
     Raises
     ------
@@ -228,14 +240,14 @@ def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
     SdoError
         A transfer failed.
     """
-    entry = OBJECTS["communication_cycle_period"]
-    period_us = round(sync_period_s * 1e6)
-    found_us = access.read_optional(entry)
-    if not found_us:
+    access, entry = node.access, OBJECTS["communication_cycle_period"]
+    period_us = round(period_s * 1e6)
+    held_us = access.read_optional(entry)
+    if not held_us:
         return
     if not access.may_write(entry.index):
-        if found_us != period_us:
-            what = f"waits for a SYNC every {found_us} us, the master sends one every {period_us} us"
+        if held_us != period_us:
+            what = f"waits for a SYNC every {held_us} us, the master sends one every {period_us} us"
             access.refuse(entry, what, "set 0x1006 to 0 in the drive, or add 0x1006 to write.allow")
         return
     reason = "SYNC is produced by the master with its own period"
@@ -245,56 +257,39 @@ def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
         access.write(entry, period_us, reason)
 
 
-def settle_quick_stop(access: NodeAccess) -> None:
-    """Write quick stop option 2 (0x605A) where the drive's own does not end in SWITCH ON DISABLED (1 to 3 do).
-
-    With 5 to 8 the drive stays in QUICK STOP ACTIVE, from where the next controlword of the motion would enable it
-    again (transition 16) although it has stopped by itself. With 0 it coasts.
-
-    Raises
-    ------
-    ConfigurationRefused
-        The drive holds another option, and it cannot be written.
-    SdoError
-        A transfer failed.
-    """
-    entry = OBJECTS["quick_stop_option"]
-    option = access.read_optional(entry)
-    if option is None:
-        return
-    ends = option in ENDING_OPTIONS
-    if not access.may_write(entry.index):
-        if not ends:
-            advice = "set 1, 2 or 3 in the drive, or add 0x605A to write.allow of its profile"
-            access.refuse(entry, f"holds {option}: a quick stop does not end in SWITCH ON DISABLED", advice)
-        return
-    try:
-        access.write(entry, option if ends else RAMP_OPTION, "a quick stop ends in SWITCH ON DISABLED")
-    except SdoAbort as abort:
-        what = (
-            f"holds {option} and refuses {RAMP_OPTION} ({abort.what}): a quick stop does not end in SWITCH ON DISABLED"
-        )
-        access.refuse(
-            entry, what, "set 1, 2 or 3 with the maker's tool; this drive cannot be moved with another option"
-        )
+def switch_off_pdos(node: Node, _period_s: float) -> None:
+    """Switch off the PDOs that the exchange does not use; refuse one that stays on and carries a controlword."""
+    node.left_pdos = tuple(pdo for pdo in node.other_pdos if not other_pdos.switch_off(node.access, pdo))
 
 
-def set_mode(access: ObjectAccess, mode: Mode) -> None:
-    """Set the mode of operation; wait for it in 0x6061 if the drive displays it before it is enabled."""
+def map_pdos(node: Node, _period_s: float) -> None:
+    """Map the PDOs of the exchange (0x1400, 0x1600, 0x1800, 0x1A00 and following)."""
+    for plan in node.plans:
+        node.access.map_pdo(plan)
+
+
+def limit_position(drive: Cia402Drive, _period_s: float) -> None:
+    """Narrow the drive's own position limits to those of the axis (0x607D), where profile and drive allow it."""
+    if drive.setup.position_limit_rad is not None:
+        drive_limits.write_position_limits(drive.access, drive.limit_count, drive.scale.constants.counts_per_revolution)
+
+
+def limit_torque(drive: Cia402Drive, _period_s: float) -> None:
+    """Lower the drive's own torque limit to what the arm can need (0x6072), where profile and drive allow it."""
+    rated_nm = drive_limits.rated_torque_nm(drive.access, drive.scale.constants)
+    need_nm = drive.setup.torque_limit_nm
+    permille = None if need_nm is None or rated_nm is None else drive_limits.permille_of(need_nm, rated_nm)
+    drive_limits.limit_torque(drive.access, permille)
+
+
+def set_mode(drive: Cia402Drive, _period_s: float) -> None:
+    """Set cyclic synchronous position mode (0x6060), and read it back if it is shown before enabling (0x6061)."""
+    access, mode = drive.access, Mode.CYCLIC_SYNC_POSITION
     access.write(OBJECTS["mode"], mode.value, f"mode {mode.name.lower().replace('_', ' ')}")
-    if access.profile.state_machine.mode_before_enable:
-        check_mode(access, mode)
-
-
-def check_mode(access: ObjectAccess, mode: Mode) -> None:
-    """Wait until 0x6061 (modes of operation display) shows a mode.
-
-    Raises
-    ------
-    ConfigurationRefused
-        It does not.
-    """
-    deadline = time.monotonic() + access.profile.state_machine.transition_timeout_s
+    machine = access.profile.state_machine
+    if not machine.mode_before_enable:
+        return
+    deadline = time.monotonic() + machine.transition_timeout_s
     while (shown := access.read(OBJECTS["mode_display"])) != mode.value:
         if time.monotonic() > deadline:
             refuse_mode(access, mode, shown)
@@ -312,8 +307,8 @@ def refuse_mode(access: ObjectAccess, mode: Mode, shown: int | None) -> NoReturn
     access.refuse(OBJECTS["mode_display"], what, advice)
 
 
-def set_interpolation_period(access: NodeAccess, sync_period_s: float) -> None:
-    """Set the interpolation period (0x60C2) to the SYNC period; where it may not be written, it has to be that already.
+def set_interpolation_period(drive: Cia402Drive, period_s: float) -> None:
+    """Set the interpolation period to the SYNC period (0x60C2); where it may not be written, it has to be that already.
 
     The exponent of the drive is kept where the period is a whole number in it; else others are tried. Exponent and
     value are both written, in this order, if one of them differs: some drives apply a value only then.
@@ -325,16 +320,17 @@ def set_interpolation_period(access: NodeAccess, sync_period_s: float) -> None:
     SdoError
         A transfer failed.
     """
+    access = drive.access
     value_entry, exponent_entry = OBJECTS["interpolation_time_value"], OBJECTS["interpolation_time_index"]
     held = access.read_optional(value_entry)
     if held is None:
         return
     if not access.may_write(value_entry.index):
-        check_interpolation_period(access, sync_period_s)
+        check_interpolation_period(access, period_s)
         return
     reason, own = "interpolation over one SYNC period", access.read(exponent_entry)
     refusals: list[SdoAbort | ConfigurationRefused] = []
-    for value, exponent in decimal_periods(sync_period_s, own):
+    for value, exponent in decimal_periods(period_s, own):
         exponent_step = Step(*exponent_entry.address, exponent_entry.type, exponent, reason)
         value_step = Step(*value_entry.address, value_entry.type, value, reason)
         try:
@@ -352,20 +348,15 @@ def set_interpolation_period(access: NodeAccess, sync_period_s: float) -> None:
     raise refusals[0]
 
 
-def check_interpolation_period(access: NodeAccess, sync_period_s: float) -> None:
-    """Refuse a drive whose interpolation period (0x60C2) is not the SYNC period.
-
-    Raises
-    ------
-    ConfigurationRefused
-    """
+def check_interpolation_period(access: NodeAccess, period_s: float) -> None:
+    """Refuse a drive whose interpolation period (0x60C2) is not the SYNC period; raises `ConfigurationRefused`."""
     entry = OBJECTS["interpolation_time_value"]
     value = access.read_optional(entry)
     if value is None:
         return
     held_s = value * 10.0 ** access.read(OBJECTS["interpolation_time_index"])
-    if not math.isclose(held_s, sync_period_s, rel_tol=1e-6):
-        what = f"the drive interpolates over {held_s:g} s, the master sends a SYNC every {sync_period_s:g} s"
+    if not math.isclose(held_s, period_s, rel_tol=1e-6):
+        what = f"the drive interpolates over {held_s:g} s, the master sends a SYNC every {period_s:g} s"
         access.refuse(entry, what, "set 0x60C2 to the SYNC period in the drive, or add 0x60C2 to write.allow")
 
 
@@ -395,3 +386,161 @@ def decimal_periods(seconds: float, own_exponent: int = PERIOD_EXPONENTS[0]) -> 
         advice = "choose a period such as 0.004 s or 0.0025 s"
         raise ConfigurationRefused(what, index=0x60C2, subindex=1, advice=advice)
     return tuple(pairs)
+
+
+def set_heartbeat(drive: Cia402Drive, _period_s: float) -> None:
+    """Set the period of the drive's heartbeat (0x1017), where the profile states one."""
+    producer_ms = drive.setup.profile.heartbeat.producer_ms
+    if producer_ms is not None:
+        drive.access.write(OBJECTS["producer_heartbeat"], producer_ms, "heartbeat of the drive")
+
+
+def settle_quick_stop(drive: Cia402Drive, _period_s: float) -> None:
+    """Set quick stop option 2 where the drive's own does not end in SWITCH ON DISABLED (0x605A: 1 to 3 do).
+
+    With 5 to 8 the drive stays in QUICK STOP ACTIVE, from where the next controlword of the motion would enable it
+    again (transition 16) although it has stopped by itself. With 0 it coasts.
+
+    Raises
+    ------
+    ConfigurationRefused
+        The drive holds another option, and it cannot be written.
+    SdoError
+        A transfer failed.
+    """
+    access, entry = drive.access, OBJECTS["quick_stop_option"]
+    option = access.read_optional(entry)
+    if option is None:
+        return
+    ends = option in ENDING_OPTIONS
+    if not access.may_write(entry.index):
+        if not ends:
+            advice = "set 1, 2 or 3 in the drive, or add 0x605A to write.allow of its profile"
+            access.refuse(entry, f"holds {option}: a quick stop does not end in SWITCH ON DISABLED", advice)
+        return
+    try:
+        access.write(entry, option if ends else RAMP_OPTION, "a quick stop ends in SWITCH ON DISABLED")
+    except SdoAbort as abort:
+        what = (
+            f"holds {option} and refuses {RAMP_OPTION} ({abort.what}): a quick stop does not end in SWITCH ON DISABLED"
+        )
+        access.refuse(
+            entry, what, "set 1, 2 or 3 with the maker's tool; this drive cannot be moved with another option"
+        )
+
+
+def set_abort_connection(drive: Cia402Drive, _period_s: float) -> None:
+    """Set the reaction to a lost master (0x6007)."""
+    reason = "reaction of the drive when the master's heartbeat stops"
+    option = drive.setup.profile.heartbeat.abort_connection
+    drive.access.write(OBJECTS["abort_connection_option"], option, reason)
+
+
+def disarm(drive: Cia402Drive, _period_s: float) -> None:
+    """End the drive's monitoring of the master until it is enabled (0x1016)."""
+    drive.disarm()
+
+
+# -- order -------------------------------------------------------------------------------------------------------------
+
+CONNECTING: Final[tuple[Callable[[Nodes], None], ...]] = (
+    listen_for_masters,
+    identify,
+    admit,
+    receive_emergencies,
+)
+CONFIGURING: Final[tuple[Callable[[Nodes], None], ...]] = (
+    take_over_applied,
+    survey_pdos,
+    check_load,
+    set_up,
+    check_load,  # with the PDOs that could not be switched off
+)
+SETTINGS: Final[tuple[Callable[[Cia402Drive, float], None], ...]] = (
+    check_disabled,
+    read_scale,
+    check_sync,
+    leave_operational,
+    clear_velocity_offset,
+    settle_sync_period,
+    switch_off_pdos,
+    map_pdos,
+    limit_position,
+    limit_torque,
+    set_mode,
+    set_interpolation_period,
+    set_heartbeat,
+    settle_quick_stop,
+    set_abort_connection,
+    disarm,
+)
+DEVICE_SETTINGS: Final[tuple[Callable[[Instrument, float], None], ...]] = (
+    check_sync,
+    check_units,
+    leave_operational,
+    settle_sync_period,
+    switch_off_pdos,
+    map_pdos,
+)
+
+
+def connect(nodes: Nodes) -> None:
+    """Find every node and compare it with its profile; no object is written.
+
+    Raises
+    ------
+    NodeMissing, DuplicateNode, IdentityMismatch, SeveralFailures
+        All problems of all nodes at once.
+    ConfigurationRefused
+        Lockstep, or a network as the bus, with a real drive; emergency messages switched off.
+    ForeignMaster
+        Another master is active on the bus; nothing was sent.
+    """
+    nodes.close()
+    try:
+        for step in CONNECTING:
+            step(nodes)
+            raise_failures(nodes.failures_found)
+    except DriveError:
+        nodes.close()
+        raise
+
+
+def connect_for_restore(nodes: Nodes) -> None:
+    """Connect as `connect` does, without nodes that do not answer or differ: `Nodes.failures_found`.
+
+    Raises
+    ------
+    ForeignMaster
+        Another master is active on the bus; nothing was sent.
+    """
+    nodes.close()
+    listen_for_masters(nodes)
+    identify(nodes)
+    absent = {failure.node for failure in nodes.failures_found}
+    for node in nodes.all:
+        if node.node_id in absent:
+            node.close()
+    nodes.drives = tuple(drive for drive in nodes.drives if drive.node_id not in absent)
+    nodes.instruments = tuple(device for device in nodes.instruments if device.node_id not in absent)
+
+
+def configure(nodes: Nodes) -> None:
+    """Map the PDOs, set mode, period, heartbeats and the reaction to a lost master; everything is read back.
+
+    Raises
+    ------
+    BusOverload
+        Real time: the planned bus load exceeds the limit.
+    SeveralFailures or DriveError
+        Failures of all nodes at once.
+    """
+    for step in CONFIGURING:
+        step(nodes)
+    nodes.ledger.settle()
+
+
+def steps() -> tuple[str, ...]:
+    """Return what bring-up does, in its order, one line each."""
+    order = [each for step in (*CONNECTING, *CONFIGURING) for each in (SETTINGS if step is set_up else (step,))]
+    return tuple(dict.fromkeys((each.__doc__ or "").splitlines()[0] for each in order))

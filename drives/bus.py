@@ -7,14 +7,12 @@ goes through one table of handlers, so that no frame waits in a cache. Frames of
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import socket
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Final, Protocol
 
 import can
@@ -22,7 +20,6 @@ import canopen
 
 from drives.bus_spec import BusSpec
 from drives.errors import BusError, ForeignMaster
-from drives.frame_log import FrameLog
 from drives.reactions import DRIVE_RULES
 
 __all__ = ["Bus", "BusSpec", "Frame", "Handler", "Tap", "open_bus"]
@@ -111,16 +108,9 @@ class Bus:
         The open python-can bus; it is shut down by `close`.
     spec : BusSpec
         What it was opened from.
-    trace : Path, optional
-        Frame log; its suffix picks the format (.blf, .log, .asc ..).
-
-    Attributes
-    ----------
-    log : FrameLog or None
-        It is switched off when it fails; `__exit__` raises the failure unless another error is being raised.
     """
 
-    def __init__(self, adapter: Any, spec: BusSpec, trace: Path | None = None) -> None:
+    def __init__(self, adapter: Any, spec: BusSpec) -> None:
         self.spec = spec
         self.echoes = spec.interface in _ECHOING or bool(spec.options.get("receive_own_messages", False))
         #: Time stamps of frames are this computer's wall clock, and may be compared with it.
@@ -143,7 +133,6 @@ class Bus:
         self._failures = 0
         self._dispatching: int | None = None
         self._network: _Network | None = None
-        self.log = None if trace is None else FrameLog(trace)
         self._taps: tuple[Tap, ...] = ()
         self._receive: Callable[[float], Any] = adapter.recv
         for can_id in (NMT_ID, SYNC_ID, *range(SDO_REQUEST_BASE + 1, SDO_REQUEST_BASE + 128)):
@@ -174,8 +163,6 @@ class Bus:
                 if frame is None:
                     return None
                 self._failures = 0
-                if self.log is not None:
-                    self.log.add(frame)
                 if self._taps:
                     self._hand_to_taps(frame, received=True)
                 if not (frame.is_error_frame or frame.is_remote_frame or frame.is_extended_id):
@@ -212,11 +199,6 @@ class Bus:
         self.counts["error"] += 1
         if frame.arbitration_id & _CAN_ERROR_BUS_OFF:
             self.bus_off = True
-
-    def check(self) -> None:
-        """Raise `BusOff` when the controller has left the bus."""
-        if self.bus_off:
-            raise DRIVE_RULES["bus_off"].raised(f"{self.spec}: the CAN controller is bus-off")
 
     def check_free(self) -> None:
         """Raise `ForeignMaster` when another master has sent a frame since this bus was found free."""
@@ -363,11 +345,8 @@ class Bus:
                 raise
             except Exception as error:  # as in `receive`
                 delay_s = self._send_again(frame, error)
-        if not self.echoes:
-            if self._taps:
-                self._hand_to_taps(frame, received=False)
-            if self.log is not None:
-                self.log.add(_as_sent(frame))
+        if self._taps and not self.echoes:
+            self._hand_to_taps(frame, received=False)
         return delay_s
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -399,7 +378,7 @@ class Bus:
         return self._network
 
     def close(self) -> None:
-        """Close adapter and frame log; may be called again. Never raises: an adapter that is gone cannot be closed."""
+        """Close the adapter; may be called again. Never raises: an adapter that is gone cannot be closed."""
         adapter, self._adapter = self._adapter, _CLOSED
         self._receive = _CLOSED.recv
         if adapter is not _CLOSED:
@@ -407,20 +386,12 @@ class Bus:
                 adapter.shutdown()
             except Exception:
                 self.counts["shutdown_failed"] += 1
-        if self.log is not None:
-            self.log.close()
 
     def __enter__(self) -> Bus:
         return self
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
-        failure = None if self.log is None else self.log.failure
-        if failure is None or failure is error:
-            return
-        if error is None:
-            raise failure
-        error.add_note(f"{failure.filename}: {failure.strerror}")
 
 
 class _Closed:
@@ -439,17 +410,6 @@ class _Closed:
 _CLOSED: Final = _Closed()
 
 
-def _as_sent(frame: Frame) -> can.Message:
-    """Return a copy for the log, because a prepared frame is reused."""
-    return can.Message(
-        timestamp=time.time(),
-        arbitration_id=frame.arbitration_id,
-        data=bytes(frame.data),
-        is_extended_id=False,
-        is_rx=False,
-    )
-
-
 def _no_kernel_can(error: BaseException | None) -> bool:
     """Return whether the root cause of an error is a kernel without CAN sockets (errno 97)."""
     while error is not None:
@@ -459,15 +419,13 @@ def _no_kernel_can(error: BaseException | None) -> bool:
     return not hasattr(socket, "AF_CAN")
 
 
-def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
+def open_bus(spec: BusSpec) -> Bus:
     """Open a bus.
 
     Parameters
     ----------
     spec : BusSpec
         What to open.
-    trace : Path, optional
-        Frame log beside the recording; its suffix picks the format (.blf, .log, .asc ..).
 
     Returns
     -------
@@ -477,7 +435,7 @@ def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
     Raises
     ------
     BusError
-        The interface is unknown, missing, down or refuses an option; the trace cannot be written.
+        The interface is unknown, missing, down or refuses an option.
     """
     arguments = dict(spec.options)
     if spec.interface not in _WITHOUT_BITRATE:
@@ -497,9 +455,4 @@ def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
             advice = _NO_KERNEL_CAN
         what = "its driver or package is not installed" if missing else " ".join(str(error).split())
         raise BusError(f"bus {spec} cannot be opened: {what}", advice=advice) from error
-    try:
-        return Bus(adapter, spec, trace)
-    except Exception as error:
-        with contextlib.suppress(Exception):
-            adapter.shutdown()
-        raise BusError(f"frame trace {trace} cannot be written: {error}", advice="check folder and suffix") from error
+    return Bus(adapter, spec)

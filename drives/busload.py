@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Final
+
+#: Largest planned worst-case load of a bus in real time [%].
+LOAD_LIMIT_PERCENT: Final = 70.0
 
 
 def frame_bits(size_bytes: int) -> int:

@@ -1,6 +1,7 @@
-"""Schedule SYNC in real time: wait until it is due, never send a burst to catch up, and record the delay of each SYNC.
+"""Clocks that schedule SYNC: in real time, and in lockstep a simulated one.
 
-Missed SYNCs are skipped and the phase is kept, because drives synchronise their own clocks to it.
+In real time a SYNC is waited for until it is due. Missed SYNCs are skipped and never sent in a burst, and the phase is
+kept, because drives synchronise their own clocks to it. The delay of each SYNC is recorded.
 """
 
 from __future__ import annotations
@@ -62,6 +63,10 @@ class SyncClock:
         """Adopt the SYNC time [s] of another clock; the following SYNC is scheduled by this clock again."""
         self._due_s = now_s + self._period_s
 
+    def time_s(self, sync_index: int, passed_s: float) -> float:
+        """Return the time of a SYNC [s], sent so long after the first one."""
+        return passed_s
+
     def restart(self, at_s: float | None = None) -> None:
         """Restart the schedule: the next SYNC is due now, or at a monotonic time [s] that several clocks share."""
         self._due_s, self._last_s = at_s, None
@@ -95,3 +100,20 @@ class SyncClock:
         missed = int((now_s - due_s) / self._period_s) if now_s > due_s + self._period_s else 0
         self.overruns += missed
         return due_s + missed * self._period_s
+
+
+class LockstepClock(SyncClock):
+    """Simulated time: one period passes with each SYNC, which is due as soon as the last one was answered."""
+
+    @property
+    def paused_s(self) -> float:
+        """Return 0: no time passes between two SYNCs."""
+        return 0.0
+
+    def time_s(self, sync_index: int, passed_s: float) -> float:
+        """Return the time of a SYNC [s]: its index times the period."""
+        return sync_index * self._period_s
+
+    def wait(self) -> float:
+        """Return the monotonic time [s]."""
+        return time.monotonic()

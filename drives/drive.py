@@ -5,23 +5,31 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from drives import bringup, drive_limits, other_pdos
+from drives import drive_limits
 from drives.access import ObjectAccess
 from drives.bus import Bus, Frame
-from drives.cia402 import DISABLE_VOLTAGE, ENABLE_OPERATION, FAULT_RESET, FAULTED, Mode, State, decode_state, describe
+from drives.cia402 import DISABLE_VOLTAGE, ENABLE_OPERATION, FAULT_RESET, FAULTED, State, decode_state, describe
 from drives.decode import Decoder, Fields, double_decoder, single_decoder
-from drives.errors import CommandRefused, ConfigurationRefused, DriveError, DriveFault
-from drives.heartbeat import NmtCommand, send_nmt
-from drives.ledger import KnownDevice, WriteLedger
+from drives.errors import (
+    CommandRefused,
+    ConfigurationRefused,
+    DriveError,
+    DriveFault,
+    IdentityMismatch,
+    NodeMissing,
+)
+from drives.ledger import WriteLedger
 from drives.objects import OBJECTS
 from drives.other_pdos import OtherPdo
-from drives.pdo import COMMAND, OFFSET, VELOCITY_OFFSET, PdoPlan, offset_plan, rpdo_plan, tpdo_plans
+from drives.pdo import COMMAND, OFFSET, PdoPlan, offset_plan, rpdo_plan, tpdo_plans
 from drives.scaling import Constants, MotorScale, motor_scale
 from drives.sdo import ONCE
 from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
 
 __all__ = ["AxisSetup", "Cia402Drive", "DriveCommand", "DriveReading", "Identity"]
 
+#: Time between two readings of what a drive takes a moment to do.
+POLL_S: Final = 0.005
 _I16_MAX: Final = 0x7FFF
 #: An axis that is held outside its limits stays held where a target leads further out by no more than this: a path
 #: inwards begins at the position that was read, which is not to the count the one that is held.
@@ -46,7 +54,7 @@ class Cia402Drive:
         self.identity: Identity | None = None
         #: Last position that was commanded.
         self.target_count = 0
-        #: PDOs that are switched on and not of the exchange, as `survey` found them.
+        #: PDOs that are switched on and not of the exchange, as bring-up found them.
         self.other_pdos: tuple[OtherPdo, ...] = ()
         #: Those of them that stay on, as far as it is known.
         self.left_pdos: tuple[OtherPdo, ...] = ()
@@ -59,11 +67,12 @@ class Cia402Drive:
         self._offset_frame = None if self._offset_plan is None else bus.prepare(self._offset_plan.cob_id, OFFSET.size)
         self._held_count = 0
         self._staged = (0, 0, 0)
-        self._sync_period_s = 0.0
+        self.sync_period_s = 0.0
         #: Position at which the axis came to rest when it was last disabled [counts].
         self.rest_count: int | None = None
         self._max_step_count = 0.0
-        self._lowest, self._highest = drive_limits.limits_in_counts(None, 1.0)
+        #: Lowest and highest target [counts].
+        self.limit_count = drive_limits.limits_in_counts(None, 1.0)
 
     def close(self) -> None:
         """Stop listening."""
@@ -99,98 +108,41 @@ class Cia402Drive:
 
     # -- bringing up -------------------------------------------------------------------------------------------------
 
-    def identify(self) -> Identity:
-        """Read the identity and compare it with the profile.
+    def check_identity(self) -> None:
+        """Compare the identity of the device with the profile.
 
         Raises
         ------
         IdentityMismatch
-            The device does not match the profile.
+            Vendor, product, firmware or device type differ; one error lists all differences.
         """
-        self.identity = bringup.read_identity(self.access.sdo)
-        self.access.device = KnownDevice.of(self.identity, self._bus.spec.name)
-        bringup.check_identity(self.identity, self.setup.profile)
-        return self.identity
+        if self.identity is None:
+            raise NodeMissing("was not identified", node=self.node_id, advice="connect() first")
+        problems = self.identity.mismatches(self.setup.profile)
+        if self.identity.device_type is not None and not self.identity.is_drive:
+            problems.append(f"device type {self.identity.device_type:#010x} is not a CiA 402 drive")
+        if problems:
+            raise IdentityMismatch(
+                f"{'; '.join(problems)} (profile {self.setup.profile.name})",
+                node=self.node_id,
+                index=0x1018,
+                subindex=1,
+                advice="check wiring and node ids, or choose the profile of this drive and firmware",
+            )
 
-    def survey(self) -> tuple[OtherPdo, ...]:
-        """Read which PDOs are valid but not used by the exchange; nothing is written."""
-        planned = {plan.communication for plan in self.plans}
-        self.other_pdos = other_pdos.other_pdos(self.access, planned)
-        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not pdo.may_be_switched_off)
-        return self.other_pdos
-
-    def configure(self, sync_period_s: float) -> None:
-        """Read the scaling; map the PDOs; set limits, mode and reaction to a lost master; read all of it back.
-
-        The PDOs that `survey` found are switched off.
+    def set_scale(self, constants: Constants, sync_period_s: float) -> None:
+        """Set factors and limits of the setpoints from the constants of the drive; raises `ProfileError`.
 
         Parameters
         ----------
+        constants : Constants
         sync_period_s : float
-            Written to 0x60C2 where the drive has it; the speed limit is one of steps of this length.
-
-        Raises
-        ------
-        DriveFault
-            The drive is already enabled.
-        ConfigurationRefused, SdoError, ProfileError
-            As the drive answers.
+            The speed limit is one of steps of this length.
         """
-        self._scale = None
-        access, heartbeat = self.access, self.setup.profile.heartbeat
-        bringup.check_at_rest(access)
-        constants = bringup.read_constants(access)
-        scale = motor_scale(self.setup.profile, constants, self.setup.torque_constant_nm_per_a)
-        bringup.check_sync(access)
-        send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
-        if self._offset_plan is not None or access.is_in_ledger(VELOCITY_OFFSET.index, self._rpdo.mapping + 1):
-            access.write(VELOCITY_OFFSET, 0, "clear the velocity offset of an earlier run")
-        bringup.settle_sync_period(access, sync_period_s)
-        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not other_pdos.switch_off(access, pdo))
-        for plan in self.plans:
-            access.map_pdo(plan)
-        self._set_limits(constants, scale)
-        bringup.set_mode(access, Mode.CYCLIC_SYNC_POSITION)
-        bringup.set_interpolation_period(access, sync_period_s)
-        if heartbeat.producer_ms is not None:
-            access.write(OBJECTS["producer_heartbeat"], heartbeat.producer_ms, "heartbeat of the drive")
-        bringup.settle_quick_stop(access)
-        reason = "reaction of the drive when the master's heartbeat stops"
-        access.write(OBJECTS["abort_connection_option"], heartbeat.abort_connection, reason)
-        self._sync_period_s = sync_period_s
+        self._scale = scale = motor_scale(self.setup.profile, constants, self.setup.torque_constant_nm_per_a)
+        self.sync_period_s = sync_period_s
+        self.limit_count = drive_limits.limits_in_counts(self.setup.position_limit_rad, scale.count_rad)
         self._max_step_count = self.setup.max_motor_speed_rad_s * sync_period_s / scale.count_rad + 1.0
-        self._scale = scale
-
-    def _set_limits(self, constants: Constants, scale: MotorScale) -> None:
-        """Apply the cell's position and torque limits in the master and, if allowed, in the drive."""
-        setup = self.setup
-        limit = drive_limits.limits_in_counts(setup.position_limit_rad, scale.count_rad)
-        self._lowest, self._highest = limit
-        if setup.position_limit_rad is not None:
-            drive_limits.write_position_limits(self.access, limit, constants.counts_per_revolution)
-        rated_nm = drive_limits.rated_torque_nm(self.access, constants)
-        need_nm = setup.torque_limit_nm
-        self.limit_torque(None if need_nm is None or rated_nm is None else drive_limits.permille_of(need_nm, rated_nm))
-
-    def limit_torque(self, permille: int | None) -> bool:
-        """Lower the drive's own torque limit (0x6072); `restore` puts it back.
-
-        Parameters
-        ----------
-        permille : int or None
-            Of the rated torque; above the drive's original value, and with None, the drive gets that value.
-
-        Returns
-        -------
-        bool
-            Whether the drive holds this limit now; False where profile, drive or its original value do not allow it.
-
-        Raises
-        ------
-        DriveFault
-            The drive is enabled.
-        """
-        return drive_limits.limit_torque(self.access, permille)
 
     def safety_faults(self) -> list[str]:
         """Return the profile's conditions for motion that do not hold now, as text; empty = all hold.
@@ -217,10 +169,6 @@ class Cia402Drive:
     def disarm(self) -> None:
         """End the drive's monitoring of the master's heartbeat."""
         self.access.write(OBJECTS["consumer_heartbeat"], 0, "the drive no longer monitors the master's heartbeat")
-
-    def check_interpolation_period(self) -> None:
-        """Refuse a drive that does not interpolate over the SYNC period; raises `ConfigurationRefused`."""
-        bringup.check_interpolation_period(self.access, self._sync_period_s)
 
     def note_rest(self) -> None:
         """Store the position of the axis at rest with its brake closed."""
@@ -256,7 +204,7 @@ class Cia402Drive:
                 self.access.sdo.write(*control.address, control.type, word)
         deadline_s = time.monotonic() + self.setup.profile.state_machine.transition_timeout_s
         while decode_state(status := self.statusword()) in FAULTED and time.monotonic() < deadline_s:
-            self._bus.listen(bringup.POLL_S)
+            self._bus.listen(POLL_S)
         if decode_state(status) in FAULTED:
             what = f"is still in {describe(status)}: {self.fault_text()}"
             advice = "the cause of the fault is still present"
@@ -281,13 +229,14 @@ class Cia402Drive:
             raise CommandRefused(f"{command} is not a valid target: {error}", node=self.node_id) from error
         if self.target_count == self._held_count and abs(count - self.target_count) <= self._tolerance_count:
             count = self._no_further_out(count)
-        if not self._lowest <= count <= self._highest and not self._inward(count):
-            what = f"target {count} counts is outside {self._lowest} .. {self._highest}"
+        lowest, highest = self.limit_count
+        if not lowest <= count <= highest and not self._inward(count):
+            what = f"target {count} counts is outside {lowest} .. {highest}"
             advice = "stay inside the limits of the axis; from outside it moves only inwards"
             raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
         step = count - self.target_count
         if not -self._max_step_count <= step <= self._max_step_count:
-            what = f"target requires {abs(step) * scale.count_rad / self._sync_period_s:.1f} rad/s"
+            what = f"target requires {abs(step) * scale.count_rad / self.sync_period_s:.1f} rad/s"
             advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
             raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
         self._staged = (count, offset, velocity)
@@ -299,14 +248,15 @@ class Cia402Drive:
 
     def _no_further_out(self, count: int) -> int:
         """Return the target, or the present setpoint if that is outside the limits and the target further out."""
-        held = self.target_count
-        if held > self._highest:
+        held, (lowest, highest) = self.target_count, self.limit_count
+        if held > highest:
             return min(count, held)
-        return max(count, held) if held < self._lowest else count
+        return max(count, held) if held < lowest else count
 
     def _inward(self, count: int) -> bool:
         """Return whether a target outside the limits is not further out than the present setpoint."""
-        return self._highest < count <= self.target_count or self.target_count <= count < self._lowest
+        lowest, highest = self.limit_count
+        return highest < count <= self.target_count or self.target_count <= count < lowest
 
     def _velocity(self, velocity_rad_s: float) -> int:
         unit = self.scale.velocity_rad_s

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from drives.bus import Bus, Handler
 from drives.profile import DriveProfile
 
 #: Messages kept; `EmcyLog.count` counts all of them.
@@ -113,12 +114,28 @@ class EmcyLog:
         self.count = 0
         self.sync_index = 0
         self._profiles = profiles
+        self._subscribed: list[tuple[Bus, int, Handler]] = []
         self._kept: deque[Emergency] = deque(maxlen=KEPT)
 
     @property
     def messages(self) -> tuple[Emergency, ...]:
         """Return the last `KEPT` messages."""
         return tuple(self._kept)
+
+    def listen(self, bus: Bus, node_id: int, can_id: int) -> None:
+        """Store the messages of a node that come with this identifier, until `close`."""
+
+        def on_frame(_can_id: int, data: bytes | bytearray, time_s: float) -> None:
+            self.on_frame(node_id, data, time_s)
+
+        bus.subscribe(can_id, on_frame)
+        self._subscribed.append((bus, can_id, on_frame))
+
+    def close(self) -> None:
+        """Stop receiving; what was stored is kept."""
+        for bus, can_id, on_frame in self._subscribed:
+            bus.unsubscribe(can_id, on_frame)
+        self._subscribed.clear()
 
     def on_frame(self, can_id: int, data: bytes | bytearray, time_s: float) -> None:
         """Store the EMCY message of a received frame."""

@@ -31,11 +31,10 @@ from drives.errors import (
     raise_failures,
 )
 from drives.exchange import SyncExchange
-from drives.guard import Guard
 from drives.heartbeat import NmtCommand, NmtState, send_nmt
 from drives.instrument import Instrument
+from drives.monitor import Monitor
 from drives.objects import OBJECTS
-from drives.values import DriveReading
 
 #: Interval at which START is repeated to a node that is not OPERATIONAL, and how long: at least so many heartbeats [s].
 _REPEAT_S: Final = 0.2
@@ -66,7 +65,7 @@ def enable(
     bus: Bus,
     exchange: SyncExchange,
     instruments: Sequence[Instrument],
-    guard: Guard,
+    monitor: Monitor,
     stop_requested: Callable[[], bool],
 ) -> Epoch:
     """Bring configured drives, whose SYNC has not begun, from PRE-OPERATIONAL to OPERATION ENABLED with open brakes.
@@ -77,7 +76,7 @@ def enable(
     exchange : SyncExchange
     instruments : sequence of Instrument
         Started too, but not waited for: a row is complete without them.
-    guard : Guard
+    monitor : Monitor
     stop_requested : callable
         Whether a person has requested a stop; called at every SYNC.
 
@@ -97,122 +96,103 @@ def enable(
         An axis falls back, moves, or stays in a state; other events on the bus.
     """
 
+    drives, watch = exchange.drives, monitor.watch
+
     def check_stop() -> None:
         if stop_requested():
             raise StopRequested("a stop was requested while the drives were being enabled")
 
-    epoch = _start(bus, exchange, instruments, guard, check_stop)
-    guard.forgive_cleared()  # a node may report why it refuses START, and that the cause was cleared
-    failures: list[DriveError] = []
-    readings = [reading for reading in epoch.readings if reading is not None]  # the epoch is complete
-    for drive, reading in zip(exchange.drives, readings, strict=True):
-        try:
-            _compare_with_sdo(drive, reading)
-        except DriveError as error:
-            failures.append(error)
-    raise_failures(failures)
-    exchange.clock.restart()
-    epoch = exchange.cycle(None)
-    for _ in range(_FIRST_TRIES - 1):
-        if epoch.complete:
-            break
-        epoch = exchange.cycle(None)
-    _require_complete(exchange, epoch)
-    return _walk(exchange, guard, epoch, check_stop)
-
-
-def _start(
-    bus: Bus,
-    exchange: SyncExchange,
-    instruments: Sequence[Instrument],
-    guard: Guard,
-    check_stop: Callable[[], None],
-) -> Epoch:
-    """Send NMT START until every drive is OPERATIONAL and answers SYNC; return the first complete epoch."""
-    drives, watch = exchange.drives, guard.watch
-    bus.drain()
-    for drive in drives:
-        watch.states[drive.node_id] = None
-    began_s = sent_s = time.monotonic()
-
-    def start(node_ids: Sequence[int]) -> None:
+    def start(node_ids: Sequence[int]) -> float:
         for node_id in node_ids:
             send_nmt(bus, NmtCommand.START, node_id)
+        return time.monotonic()
 
     def start_again(node_ids: Sequence[int]) -> None:
         nonlocal sent_s
         if time.monotonic() - sent_s >= _REPEAT_S:
-            start(node_ids)
-            sent_s = time.monotonic()
+            sent_s = start(node_ids)
 
     def down(those: Sequence[Cia402Drive]) -> list[Cia402Drive]:
         return [drive for drive in those if watch.states[drive.node_id] is not NmtState.OPERATIONAL]
 
-    start([node.node_id for node in (*drives, *instruments)])
+    def until_complete() -> Epoch:
+        """Send SYNC until every axis has answered one: no command is sent before all positions are known."""
+        exchange.clock.restart()
+        since_s, tries = time.monotonic(), 1
+        while not (epoch := exchange.cycle(None)).complete:
+            check_stop()
+            silent = down([drives[axis] for axis in epoch.missing])
+            if silent and time.monotonic() - since_s > _PATIENCE_S:
+                raise_failures([_not_operational(drive, monitor) for drive in silent])
+            mute = [device for device, reading in zip(instruments, epoch.instruments, strict=True) if reading is None]
+            start_again([node.node_id for node in (*silent, *mute)])
+            if tries >= _FIRST_TRIES and not silent:
+                advice = "check that its TPDOs are synchronous and that it is in NMT state OPERATIONAL"
+                what = f"does not respond to SYNC ({_FIRST_TRIES} sent)"
+                raise_failures(
+                    [IncompleteEpochs(what, node=drives[axis].node_id, advice=advice) for axis in epoch.missing]
+                )
+            tries += 1
+        return epoch
+
+    bus.drain()
+    for drive in drives:
+        watch.states[drive.node_id] = None
+    began_s = sent_s = start([node.node_id for node in (*drives, *instruments)])
     beating = [drive for drive in drives if drive.setup.profile.heartbeat.producer_ms is not None]
     while waiting := down(beating):
         slowest_s = max(drive.setup.profile.heartbeat.producer_ms or 0 for drive in waiting) / 1000.0
         if time.monotonic() - began_s > max(_PATIENCE_S, _BEATS * slowest_s):
-            raise_failures([_not_operational(drive, guard) for drive in waiting])
+            raise_failures([_not_operational(drive, monitor) for drive in waiting])
         start_again([drive.node_id for drive in waiting])
         check_stop()
         bus.listen(_SLICE_S)
-        guard.check_bus()
-    exchange.clock.restart()
-    epoch, tries = exchange.cycle(None), 1
-    while not epoch.complete:
-        check_stop()
-        silent = down([drives[axis] for axis in epoch.missing])
-        if silent and time.monotonic() - began_s > _PATIENCE_S:
-            raise_failures([_not_operational(drive, guard) for drive in silent])
-        mute = [device for device, reading in zip(instruments, epoch.instruments, strict=True) if reading is None]
-        start_again([node.node_id for node in (*silent, *mute)])
-        if tries >= _FIRST_TRIES and not silent:
-            break
-        epoch, tries = exchange.cycle(None), tries + 1
-    _require_complete(exchange, epoch)
-    return epoch
+        monitor.check_rules("bus")
+    epoch = until_complete()
+    monitor.forgive_cleared()  # a node may report why it refuses START, and that the cause was cleared
+    _compare_with_sdo(drives, epoch)
+    epoch = until_complete()  # SDO took its time: the positions before the first controlword are read again
+    return _walk(exchange, monitor, epoch, check_stop)
 
 
-def _not_operational(drive: Cia402Drive, guard: Guard) -> DriveError:
-    state, producer_ms = guard.watch.states[drive.node_id], drive.setup.profile.heartbeat.producer_ms
+def _not_operational(drive: Cia402Drive, monitor: Monitor) -> DriveError:
+    state, producer_ms = monitor.watch.states[drive.node_id], drive.setup.profile.heartbeat.producer_ms
     if state is None and producer_ms is not None:
         what = f"sends no heartbeat, although 0x1017 is {producer_ms} ms"
         advice = "check the drive; leave heartbeat.producer_ms out of the profile if it has no heartbeat"
         return HeartbeatLost(what, node=drive.node_id, index=0x1017, advice=advice)
     said = "its NMT state is not known" if state is None else f"it is in NMT state {str(state).upper()}"
     what = f"does not go to OPERATIONAL, commanded for {_PATIENCE_S:.0f} s: {said}"
-    what += guard.emcy.last_clause(drive.node_id)
+    what += monitor.emcy.last_clause(drive.node_id)
     advice = "a communication error may be active: read 0x1001, 0x1003, error behaviour 0x1029 and SYNC period 0x1006"
     return NotOperational(what, node=drive.node_id, advice=f"{advice}; remove its cause, or switch it off and on")
 
 
-def _require_complete(exchange: SyncExchange, epoch: Epoch) -> None:
-    """Refuse drives that do not answer SYNC, so that no command is sent before their positions are known."""
-    advice = "check that its TPDOs are synchronous and that it is in NMT state OPERATIONAL"
-    what = f"does not respond to SYNC ({_FIRST_TRIES} sent)"
-    raise_failures(
-        [IncompleteEpochs(what, node=exchange.drives[axis].node_id, advice=advice) for axis in epoch.missing]
-    )
+def _compare_with_sdo(drives: Sequence[Cia402Drive], epoch: Epoch) -> None:
+    """Refuse drives whose first TPDO differs from SDO reads of the same objects, as with a shifted mapping."""
+    failures: list[DriveError] = []
+    readings = [reading for reading in epoch.readings if reading is not None]  # the epoch is complete
+    for drive, reading in zip(drives, readings, strict=True):
+        try:
+            position = drive.access.read(drive.setup.profile.position.object)
+            status = drive.access.read(OBJECTS["statusword"])
+        except DriveError as error:
+            failures.append(error)
+            continue
+        allowed = drive.scale.revolutions(_AGREEMENT_REVOLUTIONS) + 1.0
+        same_state = decode_state(status) is decode_state(reading.statusword)
+        if abs(position - reading.position_count) > allowed or not same_state:
+            what = (
+                f"TPDO1 reports {describe(reading.statusword)} at {reading.position_count} counts, "
+                f"SDO reports {describe(status)} at {position} counts"
+            )
+            advice = "the PDO mapping is shifted, or the axis moves although it is not enabled"
+            index = drive.plans[1].mapping
+            failures.append(ConfigurationRefused(what, node=drive.node_id, index=index, advice=advice))
+    raise_failures(failures)
 
 
-def _compare_with_sdo(drive: Cia402Drive, reading: DriveReading) -> None:
-    """Refuse a drive whose first TPDO differs from SDO reads of the same objects, as with a shifted mapping."""
-    position = drive.access.read(drive.setup.profile.position.object)
-    status = drive.access.read(OBJECTS["statusword"])
-    allowed = drive.scale.revolutions(_AGREEMENT_REVOLUTIONS) + 1.0
-    same_state = decode_state(status) is decode_state(reading.statusword)
-    if abs(position - reading.position_count) > allowed or not same_state:
-        raise ConfigurationRefused(
-            f"TPDO1 reports {describe(reading.statusword)} at {reading.position_count} counts, "
-            f"SDO reports {describe(status)} at {position} counts",
-            node=drive.node_id,
-            index=drive.plans[1].mapping,
-            advice="the PDO mapping is shifted, or the axis moves although it is not enabled",
-        )
-
-
-def _walk(exchange: SyncExchange, guard: Guard, epoch: Epoch, check_stop: Callable[[], None]) -> Epoch:
+def _walk(exchange: SyncExchange, monitor: Monitor, epoch: Epoch, check_stop: Callable[[], None]) -> Epoch:
     """Command the transitions to OPERATION ENABLED, and hold each axis until its brake is open and its mode shown."""
     drives, states, timing = exchange.drives, exchange.states, exchange.timing
     machines = [drive.setup.profile.state_machine for drive in drives]
@@ -224,24 +204,19 @@ def _walk(exchange: SyncExchange, guard: Guard, epoch: Epoch, check_stop: Callab
     #: Of drives that show their mode only when they are enabled: the question that is open.
     asked = {drive: drive.access.sdo.post(*display.address, display.type) for drive in late}
 
-    def now_s() -> float:
-        return exchange.sync_time_s if timing.pacing == "lockstep" else time.monotonic()
-
-    began_s, held_s, waited, all_enabled = now_s(), 0.0, [0] * len(drives), False
+    began_s, held_s, waited, all_enabled = epoch.time_s, 0.0, [0] * len(drives), False
     while not all_enabled or held_s < brake_s or asked or not epoch.complete:
         check_stop()
         for drive, count in zip(drives, held, strict=True):
             drive.hold(count)
         before, words = list(states), _enable_controlwords(exchange)
         epoch = exchange.cycle(words)
-        guard.emcy.sync_index = epoch.sync_index
+        monitor.emcy.sync_index = epoch.sync_index
         if all_enabled:
-            guard.check(epoch)
+            monitor.check(epoch)
             held_s += timing.period_s
         else:
-            guard.check_bus()
-            guard.check_operational()
-            guard.check_unanswered()
+            monitor.check_rules("started")
         _refuse_backward(exchange, before)
         check_stop()
         raise_failures(_moved(exchange, epoch, held))
@@ -253,11 +228,11 @@ def _walk(exchange: SyncExchange, guard: Guard, epoch: Epoch, check_stop: Callab
             if answer.value == mode.value:
                 del asked[drive]
             elif answer.answered or time.monotonic() > answer.until_s:
-                if now_s() - began_s > limit_s:
+                if epoch.time_s - began_s > limit_s:
                     refuse_mode(drive.access, mode, answer.value)
                 asked[drive] = drive.access.sdo.post(*display.address, display.type)
         raise_failures(_stuck(exchange, waited))
-        if now_s() - began_s > limit_s and not (asked and all_enabled):
+        if epoch.time_s - began_s > limit_s and not (asked and all_enabled):
             raise_failures(_overdue(exchange, epoch, limit_s))
     return epoch
 

@@ -10,25 +10,21 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from drives.bus import SYNC_ID, Bus, Frame
-from drives.busload import cycle_bits_worst
 from drives.cia402 import ENABLE_OPERATION, WARNING, State, decode_state
-from drives.clock import SyncClock, spare_collections
+from drives.clock import LockstepClock, SyncClock, spare_collections
 from drives.decode import Decoder, Frames
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch, EpochCollector
 from drives.heartbeat import HeartbeatProducer
 from drives.instrument import Instrument
 from drives.reactions import DRIVE_RULES
-from drives.sdo import SdoClient
-from drives.values import DriveReading, InstrumentReading
+from drives.standstill import Standstill
+from drives.values import DriveReading
 
 Pacing = Literal["lockstep", "real"]
 
 #: Longest wait for a drive that does not respond while the others have to be stopped.
 _HURRY_S: Final = 0.1
-#: An axis is at rest when it moves less than this between two SYNCs, in motor revolutions, several times in a row.
-_STILL_REVOLUTIONS: Final = 0.001
-_STILL_SYNCS: Final = 3
 #: SYNCs in a row with unassigned answers until the axis counts as not responding.
 _MAX_UNASSIGNABLE: Final = 10
 
@@ -46,8 +42,7 @@ class Timing:
     answer_timeout_s : float
         Lockstep: longest wait for a drive that answers neither SYNC nor the SDO query.
     gap_timeout_s : float
-        Lockstep: longest wait for the next answer until that query is sent, and before the next SYNC for missing
-        answers.
+        Lockstep: how long answers are waited for until that query is sent, and again before the next SYNC.
     window : float
         Real time: share of the SYNC period in which an answer counts.
     """
@@ -57,22 +52,6 @@ class Timing:
     answer_timeout_s: float = 1.0
     gap_timeout_s: float = 0.02
     window: float = 0.9
-
-
-class _Inquiry:
-    """SDO query of nodes."""
-
-    def __init__(self, sdo_of_slot: Sequence[SdoClient]) -> None:
-        self._sdo = tuple(sdo_of_slot)
-
-    def ask(self, slots: Sequence[int]) -> None:
-        """Send the query to the nodes of these slots, once per node."""
-        for sdo in {id(self._sdo[slot]): self._sdo[slot] for slot in slots}.values():
-            sdo.ask()
-
-    def answered(self, slot: int) -> bool:
-        """Return whether the node of a slot has responded to the query."""
-        return not self._sdo[slot].asked
 
 
 class SyncExchange:
@@ -109,8 +88,8 @@ class SyncExchange:
         self.unanswered = [0] * len(self.drives)
         #: Statusword of each axis whose last answer came, but cannot be assigned to its SYNC; else None.
         self.unassigned: list[int | None] = [None] * len(self.drives)
-        #: Readings in a row in which each axis was at rest.
-        self.still = [0] * len(self.drives)
+        #: Tests of rest of each axis.
+        self.standstills: list[Standstill] = []
         #: Last known position of each axis, counts; None before the first.
         self.position_count: list[int | None] = [None] * len(self.drives)
         #: An axis was commanded to enable since this was last reset.
@@ -124,7 +103,6 @@ class SyncExchange:
         self.started_s: float | None = None
         #: Monotonic time of the last SYNC.
         self.sent_s = 0.0
-        self.clock = SyncClock(bus, timing.period_s)
         slots: list[tuple[int, int]] = []
         self._first_slots = []
         for drive in self.drives:
@@ -138,26 +116,26 @@ class SyncExchange:
             self._instruments.append((instrument, len(slots)))
             slots += instrument.answers
             owners += [instrument.access.sdo] * len(instrument.answers)
-        self.collector = EpochCollector(bus, slots, _Inquiry(owners))
-        #: Worst-case bits of one cycle.
-        commands = [plan.size_bytes for drive in self.drives for plan in drive.commands]
-        self.cycle_bits = cycle_bits_worst([0, *(size for _, size in slots), *commands])
+        if timing.pacing == "real":
+            self.clock = SyncClock(bus, timing.period_s)
+            self.collector = EpochCollector(bus, slots, timing.window * timing.period_s)
+        else:
+            self.clock = LockstepClock(bus, timing.period_s)
+            self.collector = EpochCollector(bus, slots, timing.gap_timeout_s, owners)
         self._feeding = tuple(drive for drive in self.drives if drive.setup.feedforward)
         self._decoders: tuple[Decoder, ...] = ()
-        self._allowed_count = [0.0] * len(self.drives)
         self._unassignable = [0] * len(self.drives)
         #: Delayed answers of each axis when it began to leave SYNCs unanswered.
         self._delayed_before = [0] * len(self.drives)
         #: Whether the SYNC before has moved an axis; of the cycle that was begun, whether this one will, or both.
         self._moved = self._moves = self._moving = False
-        #: In real time, of the cycle that was begun: by which thread, whether its answers are assigned, when its SYNC
-        #: was due and when the bus took it.
+        #: Of the cycle that was begun: by which thread, whether its answers are assigned, when its SYNC was due and
+        #: when the bus took it.
         self._begun_by: int | None = None
         self._certain = True
         self._due_s = self._began_s = self._wall_s = 0.0
         #: Targets of the last SYNC, while those of the next one are being sent.
         self._recall: list[int] | None = None
-        self._answer_timeout_s = timing.answer_timeout_s
         self._bus = bus
         self._producer = producer
         self._sync_frame = bus.prepare(SYNC_ID, 0)
@@ -177,12 +155,12 @@ class SyncExchange:
         """Reset phase and counters for a new run with configured drives."""
         self._decoders = tuple(drive.decoder(slot) for drive, slot in zip(self.drives, self._first_slots, strict=True))
         self.clock.restart()
-        self.collector.alignment.forget()
+        self.collector.restart()
+        self.collector.answer_timeout_s = self.timing.answer_timeout_s
         axes = len(self.drives)
-        self.unanswered, self.still, self._unassignable, self._moved = [0] * axes, [0] * axes, [0] * axes, False
+        self.unanswered, self._unassignable, self._moved = [0] * axes, [0] * axes, False
         self.position_count = [None] * axes
-        self._allowed_count = [max(1.0, drive.scale.revolutions(_STILL_REVOLUTIONS)) for drive in self.drives]
-        self._answer_timeout_s = self.timing.answer_timeout_s
+        self.standstills = [Standstill(drive.scale.revolutions(1.0)) for drive in self.drives]
         if self.timing.pacing == "real":
             spare_collections()
 
@@ -196,7 +174,7 @@ class SyncExchange:
 
     def is_at_rest(self, axis: int) -> bool:
         """Return whether an axis (from 0) was at rest at the last SYNCs."""
-        return self.still[axis] >= _STILL_SYNCS
+        return self.standstills[axis].at_rest()
 
     @property
     def heartbeat(self) -> bool:
@@ -209,7 +187,7 @@ class SyncExchange:
 
     def hurry(self) -> None:
         """Shorten the time-outs for missing responses from now on, because the axes have to be stopped."""
-        self._answer_timeout_s = min(_HURRY_S, self.timing.answer_timeout_s)
+        self.collector.answer_timeout_s = min(_HURRY_S, self.timing.answer_timeout_s)
 
     def cycle(self, words: Sequence[int] | None) -> Epoch:
         """Run one SYNC cycle with these controlwords and the staged setpoints; None = SYNC without RPDOs.
@@ -222,14 +200,6 @@ class SyncExchange:
             In real time: the axes move, and the SYNC would be sent more than two periods after it was due. It was not
             sent; the last targets are those of the SYNC before, and the next SYNC is due at once.
         """
-        if self.timing.pacing == "lockstep":
-            with self._bus.receive_lock:
-                self._producer.tick(self.sync_time_s)
-                try:
-                    return self._in_lockstep(words)
-                except BaseException:
-                    self._take_back()
-                    raise
         try:
             self.begin(words)
             self.prepare(self.clock.wait())
@@ -239,7 +209,7 @@ class SyncExchange:
             self.abandon()
 
     def begin(self, words: Sequence[int] | None) -> None:
-        """Real time, first part of a cycle: send the staged commands; parameters and errors as `cycle`.
+        """First part of a cycle: send the staged commands; parameters and errors as `cycle`.
 
         `prepare`, `sync` and `gather` follow in this thread, or `abandon` if anything fails; no other thread receives
         until then.
@@ -249,61 +219,62 @@ class SyncExchange:
         self._producer.tick(self.sync_time_s)
         frames, self._moves = self._pack(words)
         self._moving = words is not None and ENABLE_OPERATION in words and (self._moves or self._moved)
-        self._refuse_overdue(self._moving)
-        self._send(frames)
+        self._refuse_overdue()
+        for frame in frames:
+            self._bus.send_frame(frame)
 
     def prepare(self, now_s: float) -> None:
         """Second part, once the SYNC is due [monotonic s]: read delayed answers; raises `MasterStalled`."""
         self.collector.sweep()
-        self._refuse_overdue(self._moving)
+        self._refuse_overdue()
         self._certain = self.clock.paused_s <= self.timing.period_s
         self._due_s = now_s
 
     def sync(self) -> None:
         """Third part: send the SYNC; raises `BusError`."""
         self._wall_s = time.time()
-        self._began_s, delay_s = self._send_sync(self._due_s)
+        self.sync_index += 1
+        began_s = time.monotonic()
+        delay_s = self._bus.send_frame(self._sync_frame)
+        self._recall = None
+        self.sent_s = time.monotonic()
+        self.clock.sent(self._due_s, delay_s)
+        self._began_s = began_s + delay_s
         self._wall_s += delay_s
         self._moved = self._moves
 
     def gather(self) -> Epoch:
         """Fourth part: collect the responses as an epoch; raises `BusError` if the adapter fails."""
-        timing = self.timing
-        answers: Frames = self.collector.collect_within(timing.window * timing.period_s, self.sent_s, self._wall_s)
+        frames: Frames = self.collector.collect(self.sent_s, self._wall_s)
         if not self._certain:
-            answers = [None] * len(answers)
-        time_s = self._began_s - (self._due_s if self.started_s is None else self.started_s)
-        epoch = self._epoch(self._due_s, time_s, answers)
+            frames = [None] * len(frames)
+        if self.started_s is None:
+            self.started_s = self._due_s
+        index = self.sync_index
+        time_s = self.clock.time_s(index, self._began_s - self.started_s)
+        beside = tuple(instrument.decode(index, frames, slot) for instrument, slot in self._instruments)
+        epoch = Epoch(index, time_s, self._row(frames), beside)
+        self.cycles += 1
         self.abandon()
         return epoch
 
     def abandon(self) -> None:
         """Abandon a cycle that this thread has begun: commands not yet sent with a SYNC are discarded."""
-        if self._begun_by == threading.get_ident():
-            self._take_back()
-            self._begun_by = None
-            self._bus.receive_lock.release()
-
-    def _take_back(self) -> None:
+        if self._begun_by != threading.get_ident():
+            return
         if self._recall is not None:
             for drive, count in zip(self.drives, self._recall, strict=True):
                 drive.target_count = count
             self._recall = None
+        self._begun_by = None
+        self._bus.receive_lock.release()
 
-    def _in_lockstep(self, words: Sequence[int] | None) -> Epoch:
-        timing, collector = self.timing, self.collector
-        collector.settle(timing.gap_timeout_s)
-        frames, self._moved = self._pack(words)
-        self._send(frames)
-        now_s = time.monotonic()
-        self._send_sync(now_s)
-        answers = collector.collect(self._answer_timeout_s, timing.gap_timeout_s)
-        return self._epoch(now_s, self.sync_time_s, answers)
-
-    def _refuse_overdue(self, moving: bool) -> None:
+    def _refuse_overdue(self) -> None:
         """Refuse an overdue setpoint while axes move, because it would be a jump; at rest it is accepted."""
+        if not self._moving:
+            return
         rule, paused_s = DRIVE_RULES["stalled"], self.clock.paused_s
-        if moving and paused_s > rule.limit * self.timing.period_s:
+        if paused_s > rule.limit * self.timing.period_s:
             self.clock.restart()
             raise rule.raised(f"this computer stalled for {paused_s:.3f} s while the arm moved")
 
@@ -321,32 +292,9 @@ class SyncExchange:
         offsets = (drive.offset_frame() for drive in self._feeding)
         return [*frames, *(frame for frame in offsets if frame is not None)], moves
 
-    def _send(self, frames: Sequence[Frame]) -> None:
-        for frame in frames:
-            self._bus.send_frame(frame)
-
-    def _send_sync(self, due_s: float) -> tuple[float, float]:
-        """Send SYNC; return the monotonic time of its transmission and its delay by a full transmit queue [s]."""
-        self.sync_index += 1
-        began_s = time.monotonic()
-        delay_s = self._bus.send_frame(self._sync_frame)
-        self._recall = None
-        self.sent_s = time.monotonic()
-        self.clock.sent(due_s, delay_s)
-        return began_s + delay_s, delay_s
-
-    def _epoch(self, now_s: float, time_s: float, answers: Frames) -> Epoch:
-        if self.started_s is None:
-            self.started_s = now_s
-        self.cycles += 1
-        return Epoch(self.sync_index, time_s, self._row(answers), self._beside(answers))
-
-    def _beside(self, frames: Frames) -> tuple[InstrumentReading | None, ...]:
-        index = self.sync_index
-        return tuple(instrument.decode(index, frames, slot) for instrument, slot in self._instruments)
-
     def _row(self, frames: Frames) -> tuple[DriveReading | None, ...]:
-        index, states, unanswered, still = self.sync_index, self.states, self.unanswered, self.still
+        index, states, unanswered, time_s = self.sync_index, self.states, self.unanswered, self.sync_time_s
+        unassigned, unassignable = self.unassigned, self._unassignable
         row: list[DriveReading | None] = []
         missing = False
         for axis, decode in enumerate(self._decoders):
@@ -356,15 +304,13 @@ class SyncExchange:
                 missing = True
                 self._without(axis, decode)
                 continue
-            unanswered[axis] = self._unassignable[axis] = 0
-            self.unassigned[axis] = None
+            unanswered[axis] = unassignable[axis] = 0
+            unassigned[axis] = None
             states[axis] = decode_state(reading.statusword)
             if reading.statusword & WARNING:
                 self.warnings += 1
-            count, before = reading.position_count, self.position_count[axis]
-            at_rest = before is not None and abs(count - before) <= self._allowed_count[axis]
-            still[axis] = still[axis] + 1 if at_rest else 0
-            self.position_count[axis] = count
+            self.position_count[axis] = reading.position_count
+            self.standstills[axis].see(time_s, reading.position_count)
         self.incomplete += missing
         return tuple(row)
 
@@ -372,7 +318,7 @@ class SyncExchange:
         """Count a SYNC without an assigned answer: as missing, or as received but not assignable."""
         if not self.unanswered[axis]:
             self._delayed_before[axis] = self._delayed(axis)
-        came = None if self.timing.pacing == "lockstep" else decode(self.sync_index, self.collector.frames)
+        came = decode(self.sync_index, self.collector.frames)
         if came is None:
             self.unassigned[axis] = None
             self.unanswered[axis] += 1

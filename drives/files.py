@@ -1,14 +1,61 @@
-"""Atomic replacement of files: after a crash a file holds its old content or its new content, complete."""
+"""Atomic replacement of files: after a crash a file holds its old content or its new content, complete.
+
+Documents that the program reads again carry a checksum. It detects damage and accidental edits, not forgery.
+"""
 
 from __future__ import annotations
 
 import errno
+import hashlib
+import json
 import os
 import secrets
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, Final
+
+#: Key of the checksum in a document.
+SEAL: Final = "sha256"
+
+
+def checksum(document: Mapping[str, Any]) -> str:
+    """Return SHA-256 (64 hexadecimal digits) of the sorted compact JSON (no blanks, ASCII) of all values but `SEAL`.
+
+    Raises
+    ------
+    RecursionError
+        Nested deeper than any file is.
+    """
+    body = {key: value for key, value in document.items() if key != SEAL}
+    return hashlib.sha256(json.dumps(body, sort_keys=True, separators=(",", ":")).encode("ascii")).hexdigest()
+
+
+def write_sealed(path: Path, document: Mapping[str, Any]) -> str:
+    """Write a document as JSON with its checksum, and return the text; raises as `replace_file`."""
+    text = json.dumps({**document, SEAL: checksum(document)}, indent=1) + "\n"
+    replace_file(path, text)
+    return text
+
+
+def read_sealed(path: Path) -> dict[str, Any]:
+    """Return a document that `write_sealed` has written.
+
+    Raises
+    ------
+    OSError
+        It cannot be read.
+    ValueError
+        It was damaged or edited since.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(document, dict) or document.get(SEAL) != checksum(document):
+            raise ValueError(f"its {SEAL} is not that of its values: it was damaged or edited")
+    except RecursionError as error:
+        raise ValueError("it is nested too deep") from error
+    return document
 
 
 def replace_file(path: Path, content: bytes | str) -> None:

@@ -1,11 +1,8 @@
-"""CAN frame logs in the formats of python-can: log during operation (`FrameLog`), read a log, write a BLF file."""
+"""CAN frame logs in the formats of python-can: pack frames for a log, write them, read a log, write a BLF file."""
 
 from __future__ import annotations
 
-import contextlib
-import errno
-import threading
-from collections import deque
+import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,14 +17,9 @@ _READERS: Final[dict[str, tuple[Any, str]]] = {
     ".asc": (can.ASCReader, "r"),
 }
 SUFFIXES: Final = tuple(_READERS)
-#: Frames that may wait for the disk: 5 s of a full bus at 1 Mbit/s; further ones are dropped and counted.
-_QUEUE_FRAMES: Final = 50_000
-#: The writer writes at most this many frames at a time, then pauses [s]: it holds the interpreter for under 1 ms, and
-#: keeps up with a full bus.
-_BATCH_FRAMES: Final = 64
-_PAUSE_S: Final = 0.005
-#: Longest wait for the rest of the log to be written when it is closed [s].
-_CLOSE_S: Final = 10.0
+#: A packed frame: time [s], CAN id, flags, data length code, content.
+FRAME: Final = struct.Struct("<dIBB8s")
+RECEIVED, EXTENDED, REMOTE, ERROR = 1, 2, 4, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,84 +53,51 @@ class LoggedFrame:
     channel: str | int | None = None
 
 
-class FrameLog:
-    """Frame log, written by its own thread, so that sending and receiving never wait for the disk.
+def packed_frame(frame: Any, received: bool, time_s: float) -> bytes:
+    """Return a CAN frame as `FRAME`; a reused one may change afterwards."""
+    flags = RECEIVED * received + EXTENDED * frame.is_extended_id
+    flags += REMOTE * frame.is_remote_frame + ERROR * frame.is_error_frame
+    return FRAME.pack(time_s, frame.arbitration_id, flags, min(frame.dlc, 8), frame.data[:8])
 
-    The first error switches the log off.
 
-    Parameters
-    ----------
-    path : Path
-        Its suffix picks the format (.blf, .log, .asc ..).
+def open_log(path: Path) -> Any:
+    """Open a frame log for writing; its suffix picks the format (.blf, .log, .asc ..).
 
-    Attributes
-    ----------
-    failure : OSError or None
-        Why the log ends early; None = it is complete so far.
-    dropped : int
-        Frames that the disk was too slow for.
+    Returns
+    -------
+    context manager of the log, for `add_packed`
 
     Raises
     ------
     OSError, ValueError
         The file cannot be written, or its suffix is unknown.
     """
+    return can.Logger(path)
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.failure: OSError | None = None
-        self.dropped = 0
-        self._writer: Any = can.Logger(path)
-        self._waiting: deque[can.Message] = deque()
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="frame-log", daemon=True)
-        self._thread.start()
 
-    def add(self, frame: can.Message) -> None:
-        """Queue a frame; it must not change afterwards."""
-        if self.failure is not None:
-            return
-        if len(self._waiting) >= _QUEUE_FRAMES:
-            self.dropped += 1
-            return
-        self._waiting.append(frame)
+def add_packed(log: Any, frames: bytes, channel: str | int | None) -> None:
+    """Append packed frames to an open log.
 
-    def close(self) -> None:
-        """Write the queued frames and close the file; never raises, `failure` holds an error."""
-        self._closing.set()
-        self._thread.join(_CLOSE_S)
-        if self._thread.is_alive():
-            self._fail(OSError(errno.EAGAIN, f"the disk has not taken the rest within {_CLOSE_S:.0f} s"))
-        if self.dropped:
-            self._fail(OSError(errno.EAGAIN, f"{self.dropped} frames are missing: the disk was too slow"))
+    Parameters
+    ----------
+    log : as returned by `open_log`
+    frames : bytes
+        Any number of `FRAME`.
+    channel : str or int or None
+        Where they were received; unknown for sent ones.
 
-    def _run(self) -> None:
-        while not self._closing.wait(_PAUSE_S) and self.failure is None:
-            self._write(_BATCH_FRAMES)
-        self._write(_QUEUE_FRAMES)
-        try:
-            self._writer.stop()
-        except Exception as error:
-            self._fail(error)
-            with contextlib.suppress(Exception):  # python-can leaves the file open; closing it fails once more
-                self._writer.file.close()
-
-    def _write(self, most: int) -> None:
-        try:
-            for _ in range(min(most, len(self._waiting))):
-                if self.failure is not None:
-                    return
-                self._writer.on_message_received(self._waiting.popleft())
-        except Exception as error:
-            self._fail(error)
-
-    def _fail(self, error: Exception) -> None:
-        """Keep the first failure, with the name of the file."""
-        if self.failure is None:
-            number = (error.errno if isinstance(error, OSError) else None) or errno.EIO
-            said = (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
-            self.failure = OSError(number, f"the frame log is incomplete: {said}", str(self.path))
-            self._waiting.clear()
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+    for time_s, can_id, flags, length, data in FRAME.iter_unpack(frames):
+        kind = "error" if flags & ERROR else "remote" if flags & REMOTE else "data"
+        content, received = b"" if kind == "remote" else data[:length], bool(flags & RECEIVED)
+        frame = LoggedFrame(
+            time_s, can_id, content, received, kind, bool(flags & EXTENDED), length, channel if received else None
+        )
+        log.on_message_received(_message(frame))
 
 
 def read_frames(path: Path) -> list[LoggedFrame]:

@@ -13,10 +13,11 @@ from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from typing import Final
 
-from drives.bringup import POLL_S, read_identity
+from drives.bringup import check_interpolation_period
 from drives.bus import Bus
 from drives.cia402 import AT_REST, FAULTED, State, decode_state, describe
-from drives.drive import Cia402Drive
+from drives.discovery import read_identity
+from drives.drive import POLL_S, Cia402Drive
 from drives.emcy import EmcyLog
 from drives.enabling import BRAKE_DROP_REVOLUTIONS
 from drives.errors import (
@@ -215,7 +216,7 @@ class Gate:
                         f"{name.replace('_', ' ')} was {getattr(before, name)}, {getattr(now, name)} is read"
                         for name in names
                     )
-                    what = f"is not the device that was connected: {changes}"
+                    what = f"does not identify itself as the device that was connected: {changes}"
                     raise IdentityMismatch(what, node=node, index=0x1018, advice=_AGAIN)
                 _refuse_lost_configuration(drive)
                 if unsafe is None and (faults := drive.safety_faults()):
@@ -251,4 +252,4 @@ def _refuse_lost_configuration(drive: Cia402Drive) -> None:
         more = [f"and {len(others) - _NAMED} more"] if len(others) > _NAMED else []
         what = "; ".join([first, *named, *more])
         raise ConfigurationRefused(what, node=drive.node_id, index=index, subindex=subindex, advice=_LOST)
-    drive.check_interpolation_period()
+    check_interpolation_period(drive.access, drive.sync_period_s)

@@ -14,8 +14,10 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
-from drives import enabling, stopping
-from drives.drive import DriveCommand
+from drives import bringup, enabling, stopping
+from drives.bus import Bus
+from drives.cia402 import ENABLE_OPERATION
+from drives.drive import AxisSetup, Cia402Drive, DriveCommand
 from drives.epoch import Epoch
 from drives.errors import (
     ConfigurationRefused,
@@ -28,11 +30,15 @@ from drives.errors import (
     raise_failures,
     while_stopping,
 )
-from drives.exchange import SyncExchange
-from drives.gate import ArmState
-from drives.group_setup import DriveSetup, GroupOptions
-from drives.heartbeat import NmtCommand, send_nmt
+from drives.exchange import Pacing, SyncExchange, Timing
+from drives.gate import ArmState, Gate
+from drives.heartbeat import MASTER_NODE_ID, HeartbeatProducer, HeartbeatWatch, NmtCommand, send_nmt
+from drives.monitor import Monitor
+from drives.nodes import GroupOptions, Nodes
 from drives.proof import BrakeTest, DriveTest, HeartbeatLossTest, QuickStopTest
+from drives.reactions import DRIVE_RULES
+from drives.statistics import GroupStatistics, group_statistics
+from drives.values import Identity
 
 __all__ = ["DriveGroup", "GroupOptions"]
 
@@ -42,19 +48,145 @@ _GATE_EVERY_S: Final = 1.0
 _ATTEND_S: Final = 0.02
 
 
-class DriveGroup(DriveSetup):
-    """Drives of one arm that share one SYNC; parameters as `DriveSetup`.
+class DriveGroup:
+    """Drives of one arm that share one SYNC.
 
     Before `exchange`, `hold` or a stop test raises an error, all axes are stopped by their quick stop ramps as far as
     possible. The drives decide whether power stays on; call `disable` or `close` afterwards. Where a
     stop is not confirmed, the master's heartbeat has ended, and the drives have to be found and configured again before
     they can be enabled.
+
+    Parameters
+    ----------
+    bus, setups, sync_period_s, pacing, master_node_id, options
+        As `Nodes`, which raises their errors.
+
+    Attributes
+    ----------
+    nodes : Nodes
     """
 
-    #: Stop test in progress; None = none.
-    _test: DriveTest | None = None
-    #: Monotonic time of the last gate [s].
-    _gated_s: float = 0.0
+    def __init__(
+        self,
+        bus: Bus,
+        setups: Sequence[AxisSetup],
+        sync_period_s: float,
+        pacing: Pacing = "lockstep",
+        master_node_id: int = MASTER_NODE_ID,
+        options: GroupOptions | None = None,
+    ) -> None:
+        self.nodes = Nodes(bus, setups, sync_period_s, pacing, master_node_id, options)
+        #: Every axis is in OPERATION ENABLED and follows `exchange`.
+        self.enabled = False
+        #: Called before the axes are stopped because of an error, so that other arms stop in the same cycle.
+        self.on_stop: Callable[[], None] = lambda: None
+        self._bus = bus
+        consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
+        self._producer = HeartbeatProducer(bus, master_node_id, consumer_s)
+        self._watch: HeartbeatWatch | None = None
+        self._exchange: SyncExchange | None = None
+        self._monitor: Monitor | None = None
+        self._gate: Gate | None = None
+        self._running = self._configured = False
+        self._enable_controlwords = (ENABLE_OPERATION,) * len(setups)
+        #: Stop test in progress; None = none.
+        self._test: DriveTest | None = None
+        #: Monotonic time of the last gate [s].
+        self._gated_s = 0.0
+        bus.add_chore(self._beat)
+
+    def _beat(self) -> None:
+        self._producer.tick(0.0 if self._exchange is None else self._exchange.sync_time_s)
+
+    @property
+    def bus(self) -> Bus:
+        """Return the bus of the drives."""
+        return self._bus
+
+    @property
+    def timing(self) -> Timing:
+        """Return period and pacing of the exchange."""
+        return self.nodes.timing
+
+    @property
+    def drives(self) -> tuple[Cia402Drive, ...]:
+        """Return the drives, in the order of the axes."""
+        return self.nodes.drives
+
+    @property
+    def sync_index(self) -> int:
+        """Return the number of the last SYNC."""
+        return 0 if self._exchange is None else self._exchange.sync_index
+
+    @property
+    def sync_sent_s(self) -> float:
+        """Return the monotonic time of the last SYNC [s]."""
+        return 0.0 if self._exchange is None else self._exchange.sent_s
+
+    @property
+    def statistics(self) -> GroupStatistics:
+        """Return the counters and latencies so far."""
+        return group_statistics(self.nodes, self._exchange)
+
+    def _require(self, condition: bool, advice: str) -> None:
+        if not condition:
+            raise ConfigurationRefused("the drives are not ready for this", advice=advice)
+
+    def _parts(self) -> tuple[SyncExchange, Monitor]:
+        if self._exchange is None or self._monitor is None:
+            raise ConfigurationRefused("the drives are not configured", advice="connect() and configure() first")
+        return self._exchange, self._monitor
+
+    # -- bringing up -------------------------------------------------------------------------------------------------
+
+    def connect(self) -> tuple[Identity, ...]:
+        """Find every node and compare it with its profile; raises as `bringup.connect`."""
+        self._close_exchange()
+        bringup.connect(self.nodes)
+        return tuple(drive.identity for drive in self.drives if drive.identity is not None)
+
+    def configure(self) -> None:
+        """Configure every node, and prepare the exchange; raises as `bringup.configure`."""
+        self._require(bool(self.drives) and not self._running, "connect() first, and do not configure while enabled")
+        first_index, timing, nodes = self.sync_index, self.timing, self.nodes
+        self._close_exchange()
+        exchange = SyncExchange(self._bus, self.drives, timing, self._producer, first_index, nodes.instruments)
+        try:
+            bringup.configure(nodes)
+        except BaseException:
+            exchange.close()
+            raise
+        # the allowed gap in a heartbeat is three of its periods, and not below the rule's limit
+        periods_ms = {drive.node_id: drive.setup.profile.heartbeat.producer_ms for drive in self.drives}
+        least_s = DRIVE_RULES["heartbeat_lost"].limit
+        gaps_s = [None if each is None else max(least_s, 3.0 * each / 1000.0) for each in periods_ms.values()]
+        watch = HeartbeatWatch(self._bus, tuple(periods_ms), gaps_s, lambda: exchange.sync_time_s)
+        self._exchange, self._watch = exchange, watch
+        limits = {"silent": nodes.options.unanswered_syncs, "foreign_master": nodes.options.foreign_frames}
+        self._monitor = Monitor(self._bus, exchange, watch, nodes.emcy, limits)
+        self._gate = Gate(self._bus, self.drives, watch, nodes.emcy)
+        self._configured = True
+
+    def _close_exchange(self) -> None:
+        for listener in (self._watch, self._exchange):
+            if listener is not None:
+                listener.close()
+        self._watch = self._exchange = self._monitor = self._gate = None
+        self._configured = False
+
+    def restore(self) -> None:
+        """Restore every object that is in the ledger, after which the drives have to be configured again.
+
+        Raises
+        ------
+        ConfigurationRefused
+            The drives are enabled.
+        SeveralFailures or DriveError
+            As `Nodes.restore`.
+        """
+        self._require(not self._running, "disable() before restoring")
+        self._close_exchange()
+        self.nodes.restore()
 
     # -- looking before anything is done ------------------------------------------------------------------------------
 
@@ -85,7 +217,7 @@ class DriveGroup(DriveSetup):
 
         0.0 = unknown.
         """
-        return (0.0,) * len(self.setups) if self._exchange is None else self._exchange.brake_drop_rad
+        return (0.0,) * len(self.drives) if self._exchange is None else self._exchange.brake_drop_rad
 
     def attend(self) -> None:
         """Keep the bus for a moment while a person is at the arm, which is in its brakes; call it again and again.
@@ -129,25 +261,25 @@ class DriveGroup(DriveSetup):
         StopRequested
             All axes are disabled again.
         """
-        exchange, guard = self._parts()
+        exchange, monitor = self._parts()
         self._require(self._configured and not self.enabled, "configure() first, and enable() once")
         self.gate(full=True).require_power()
         if stop_requested():
             raise StopRequested("a stop was requested before the drives were enabled")
         try:
-            self._for_each(lambda drive: drive.arm(self._master_node_id))
-            self.ledger.settle()
+            raise_failures(self.nodes.failures(lambda drive: drive.arm(self.nodes.master_node_id), self.drives))
+            self.nodes.ledger.settle()
             self.gate().require_approach()  # what happened while the consumer times were written
-            guard.forgive()
-            self._bus.free_count = None  # from now on the guard watches for other masters
+            monitor.forgive()
+            self._bus.free_count = None  # from now on the monitor watches for other masters
             exchange.restart()
             self._producer.start(exchange.sync_time_s)
             self._running = True
-            epoch = enabling.enable(self._bus, exchange, self.instruments, guard, stop_requested)
+            epoch = enabling.enable(self._bus, exchange, self.nodes.instruments, monitor, stop_requested)
         except BaseException as error:
             self._after(error, stopping.disable)
             if isinstance(error, DriveError):
-                guard.explain(error)
+                monitor.explain(error)
             raise
         self.enabled = True
         return epoch
@@ -203,6 +335,11 @@ class DriveGroup(DriveSetup):
                 drive.stage(commands[axis])
             else:
                 drive.hold(drive.target_count if count is None else count)
+
+    def align(self, at_s: float) -> None:
+        """Real time: set when the next SYNC is due (monotonic), so that several groups share one phase."""
+        exchange, _ = self._parts()
+        exchange.clock.restart(at_s)
 
     def begin(self, commands: Sequence[DriveCommand] | None) -> None:
         """Real time, first part of a SYNC shared by several groups: send targets; raises as `exchange`.
@@ -330,21 +467,21 @@ class DriveGroup(DriveSetup):
             return self._looked_at(self._parts()[0].cycle(words))
 
     def _looked_at(self, epoch: Epoch) -> Epoch:
-        self._emcy.sync_index = epoch.sync_index
-        guard, test = self._parts()[1], self._test
+        self.nodes.emcy.sync_index = epoch.sync_index
+        monitor, test = self._parts()[1], self._test
         if test is not None:
             test.see(epoch)
-            guard.excuse(test.excused)
+            monitor.excuse(test.excused)
             if not test.guards:
-                guard.check_bus()
+                monitor.check_rules("bus")
                 return epoch
-        guard.check(epoch)
+        monitor.check(epoch)
         return epoch
 
     @contextmanager
     def _stopping(self) -> Generator[None]:
         """Context in which any error stops all axes before it is raised."""
-        exchange, guard = self._parts()
+        exchange, monitor = self._parts()
         try:
             yield
         except Exception as error:
@@ -352,7 +489,7 @@ class DriveGroup(DriveSetup):
             self.enabled = False
             self._after(error, stopping.quick_stop)
             if isinstance(error, DriveError):
-                guard.explain(error)
+                monitor.explain(error)
             raise
 
     def _after(self, error: BaseException, stop: Callable[[SyncExchange], list[DriveError]]) -> None:
@@ -449,13 +586,13 @@ class DriveGroup(DriveSetup):
         try:
             if not failures and not unreached:
                 self._to_preoperational()  # no PDO of any master can enable them now
-            self.ledger.settle()
+            self.nodes.ledger.settle()
         except DriveError as error:
             failures.append(error)
         return failures
 
     def _to_preoperational(self) -> None:
-        for node in (*self.drives, *self.instruments):
+        for node in self.nodes.all:
             send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
 
     def close(self) -> None:
@@ -469,7 +606,8 @@ class DriveGroup(DriveSetup):
                     self._to_preoperational()
             except Exception:
                 self._bus.counts["unsent_at_close"] += 1
-            self._forget()
+            self._close_exchange()
+            self.nodes.close()
             self._bus.remove_chore(self._beat)
 
     def __enter__(self) -> DriveGroup:

@@ -11,18 +11,15 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from drives.access import AccessRules, NodeAccess
-from drives.bringup import check_sync, read_identity, settle_sync_period
 from drives.bus import Bus
 from drives.decode import Frames
-from drives.discovery import count_answers, nmt_states, require_one
 from drives.errors import ConfigurationRefused, IdentityMismatch
-from drives.heartbeat import NmtCommand, send_nmt
-from drives.ledger import KnownDevice, WriteLedger
+from drives.ledger import WriteLedger
 from drives.objects import OBJECTS, RPDO_COMMUNICATION, TPDO_COMMUNICATION, TPDO_MAPPING
-from drives.other_pdos import OtherPdo, other_pdos, switch_off
+from drives.other_pdos import OtherPdo
 from drives.pdo import PdoPlan
 from drives.profile_parts import ObjectReference
-from drives.values import InstrumentReading
+from drives.values import Identity, InstrumentReading
 
 PROFILE_NUMBER: Final = 404
 #: CiA 404: physical unit (coded as CiA 303-2 says) and decimal digits of the process value.
@@ -109,12 +106,12 @@ class Instrument:
         allowed = {OBJECTS["communication_cycle_period"].index}
         allowed |= {index for plan in self.plans for index in (plan.communication, plan.mapping)}
         allowed |= {area + number for area in (RPDO_COMMUNICATION, TPDO_COMMUNICATION) for number in range(_TPDOS)}
-        #: PDOs that are switched on and not of the exchange, as `survey` found them.
+        #: PDOs that are switched on and not of the exchange, as bring-up found them.
         self.other_pdos: tuple[OtherPdo, ...] = ()
         #: Those of them that stay on, as far as it is known.
         self.left_pdos: tuple[OtherPdo, ...] = ()
         self.access = NodeAccess(bus, setup.node_id, AccessRules("measuring device", allowed), ledger)
-        self._bus = bus
+        self.identity: Identity | None = None
         self._unpack = [plan.layout.unpack for plan in self.plans]
 
     def close(self) -> None:
@@ -126,48 +123,17 @@ class Instrument:
         """Return CAN id and length of each TPDO that follows a SYNC."""
         return tuple((plan.cob_id, plan.size_bytes) for plan in self.plans)
 
-    def identify(self) -> None:
-        """Make sure that exactly one device responds and that it is a CiA 404 measuring device.
-
-        Raises
-        ------
-        NodeMissing, DuplicateNode, IdentityMismatch
-        """
-        answers = count_answers(self._bus, [self.node_id], self.access.rules.timeout_s)[self.node_id]
-        require_one(self.node_id, answers, None if answers else nmt_states(self._bus, [self.node_id])[self.node_id])
-        identity = read_identity(self.access.sdo)
-        self.access.device = KnownDevice.of(identity, self._bus.spec.name)
-        if identity.device_type is not None and identity.device_type & 0xFFFF != PROFILE_NUMBER:
-            what = f"device type {identity.device_type:#010x} is not a CiA 404 measuring device"
+    def check_identity(self) -> None:
+        """Make sure that this is a CiA 404 measuring device; raises `IdentityMismatch`."""
+        kind = None if self.identity is None else self.identity.device_type
+        if kind is not None and kind & 0xFFFF != PROFILE_NUMBER:
+            what = f"device type {kind:#010x} is not a CiA 404 measuring device"
             raise IdentityMismatch(what, node=self.node_id, index=0x1000, advice="correct the node id in the cell")
 
-    def survey(self) -> tuple[OtherPdo, ...]:
-        """Read which PDOs are valid but not used by the exchange; nothing is written."""
-        self.other_pdos = other_pdos(self.access, {plan.communication for plan in self.plans})
-        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not pdo.may_be_switched_off)
-        return self.other_pdos
-
-    def configure(self, sync_period_s: float) -> None:
-        """Unit compared, TPDOs mapped to the SYNC, the others of `survey` switched off; everything read back.
-
-        Parameters
-        ----------
-        sync_period_s : float
-            Written to 0x1006 where the device waits for SYNC and does not take 0.
-
-        Raises
-        ------
-        ConfigurationRefused, SdoError
-            As the device answers.
-        """
-        check_sync(self.access)
+    def check_units(self) -> None:
+        """Compare the unit of each channel with the cell; raises `ConfigurationRefused` or `SdoError`."""
         for subindex in self.setup.subindices:
             self._check_unit(subindex)
-        send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
-        settle_sync_period(self.access, sync_period_s)
-        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not switch_off(self.access, pdo))
-        for plan in self.plans:
-            self.access.map_pdo(plan)
 
     def _check_unit(self, subindex: int) -> None:
         unit = ObjectReference(index=UNIT, subindex=subindex, type="u32")

@@ -10,20 +10,19 @@ new original.
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
 from drives.bus_spec import NETWORKS
 from drives.errors import ConfigurationRefused
 from drives.file_lock import lock_file
-from drives.files import replace_file
-from drives.objects import STRUCT_CODE, object_name
+from drives.files import read_sealed, write_sealed
+from drives.objects import object_name
 from drives.values import Identity
 
 SCHEMA: Final = 2
@@ -140,15 +139,18 @@ class LedgerEntry:
             (self.vendor_id, device.vendor_id),
             (self.product_code, device.product_code),
         ]
-        network = self.bus is not None and self.bus.partition(":")[0] in NETWORKS
         if self.serial_number is not None:
             if self.serial_number != device.serial_number:
                 return False
         else:
             pairs += [(self.node_id, device.node_id), (self.revision, device.revision)]
-        if network or self.serial_number is None:
+        if _is_network(self.bus) or self.serial_number is None:
             pairs.append((self.bus, device.bus))
         return all(None in pair or pair[0] == pair[1] for pair in pairs)
+
+
+def _is_network(bus: str | None) -> bool:
+    return bus is not None and bus.partition(":")[0] in NETWORKS
 
 
 class WriteLedger:
@@ -169,7 +171,7 @@ class WriteLedger:
         self.path = path
         self._entries: list[LedgerEntry] = []
         self._stamp: tuple[int, ...] | None = None
-        self._text = ""
+        self._written: dict[str, Any] = {}
         self._read()
 
     @property
@@ -184,6 +186,17 @@ class WriteLedger:
     def of(self, device: KnownDevice) -> tuple[LedgerEntry, ...]:
         """Return the entries of one device."""
         return tuple(entry for entry in self._entries if entry.is_of(device))
+
+    def of_other_bus(self, device: KnownDevice) -> tuple[LedgerEntry, ...]:
+        """Return the entries of a device without serial number that were written over a bus of another name.
+
+        They belong to this device where its adapter was renamed, and to another one like it elsewhere. On a network
+        there is no adapter.
+        """
+        if device.serial_number is not None or _is_network(device.bus):
+            return ()
+        like = [each for each in self._entries if replace(each, bus=device.bus).is_of(device)]
+        return tuple(each for each in like if not each.is_of(device) and not _is_network(each.bus))
 
     def of_predecessors(self, device: KnownDevice) -> tuple[LedgerEntry, ...]:
         """Return the entries of other devices that were written to at the same node of the same bus."""
@@ -275,10 +288,9 @@ class WriteLedger:
                 held = list(self._entries)
                 yield held
                 document = {"schema": SCHEMA, "entries": [asdict(entry) for entry in held]}
-                text = json.dumps(document, indent=1)
-                if text != self._text and (held or self.path.exists()):
-                    replace_file(self.path, text)
-                    self._stamp, self._text = _stamp(self.path), text
+                if document != self._written and (held or self.path.exists()):
+                    write_sealed(self.path, document)
+                    self._stamp, self._written = _stamp(self.path), document
                 self._entries = held
         except OSError as error:
             raise ConfigurationRefused(
@@ -291,7 +303,7 @@ class WriteLedger:
         stamp = None if self.path is None else _stamp(self.path)
         if self.path is not None and stamp is not None and stamp != self._stamp:
             self._entries = _read_entries(self.path)
-            self._stamp, self._text = stamp, ""
+            self._stamp, self._written = stamp, {}
 
 
 def _enter(held: list[LedgerEntry], batch: Sequence[LedgerEntry]) -> None:
@@ -356,29 +368,10 @@ def _read_entries(path: Path) -> list[LedgerEntry]:
         The file is not a ledger.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        document = read_sealed(path)
+        if document.get("schema") != SCHEMA:
             raise ValueError(f"schema {SCHEMA} expected")
-        return [_entry(item) for item in document["entries"]]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        return [LedgerEntry(**entry | {"also": tuple(entry["also"])}) for entry in document["entries"]]
+    except (OSError, ValueError) as error:
         advice = "move the file away if the drives need no restore"
         raise ConfigurationRefused(f"{path} is not a write ledger: {error}", advice=advice) from error
-
-
-def _entry(item: Any) -> LedgerEntry:
-    entry = LedgerEntry(**item)
-    entry = replace(entry, also=tuple(entry.also))
-    numbers: tuple[Any, ...] = (entry.node_id, entry.index, entry.subindex, entry.old, entry.new, *entry.also)
-    optional: tuple[Any, ...] = (entry.serial_number, entry.vendor_id, entry.product_code, entry.revision)
-    bus, is_open = (item.get(key) for key in ("bus", "open"))
-    sound = (
-        all(isinstance(number, int) for number in numbers)
-        and all(number is None or isinstance(number, int) for number in optional)
-        and (bus is None or isinstance(bus, str))
-        and (is_open is None or isinstance(is_open, bool))
-        and entry.writer in get_args(Writer)
-        and entry.data_type in STRUCT_CODE
-    )
-    if not sound:
-        raise ValueError(f"entry {item} is damaged")
-    return entry

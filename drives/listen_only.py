@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Final, NoReturn
 
 from drives.access import Entry
-from drives.bringup import read_constants
 from drives.bus import EMCY_BASE, SDO_ANSWER_BASE, SYNC_ID, Bus
 from drives.decode import Decoder, Fields, double_decoder, single_decoder
 from drives.emcy import Emergency, parse_emergency
@@ -20,7 +19,7 @@ from drives.errors import ConfigurationRefused
 from drives.objects import SIZE_BYTES, decode_integer
 from drives.pdo import COMMAND, rpdo_plan, tpdo_plans
 from drives.profile import DriveProfile
-from drives.scaling import Constants, MotorScale, motor_scale
+from drives.scaling import Constants, MotorScale, motor_scale, read_constants
 from drives.sdo_channel import EXPEDITED, SCS_UPLOAD, expedited_data
 from drives.values import AxisSetup, DriveReading
 

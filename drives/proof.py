@@ -34,6 +34,7 @@ from drives.errors import DriveError, DriveFault, TransitionTimeout
 from drives.exchange import SyncExchange
 from drives.objects import OBJECTS
 from drives.sdo import ONCE
+from drives.standstill import Standstill
 from drives.values import DriveReading
 
 #: How long after the stated time the drives are watched before the master stops them itself.
@@ -42,14 +43,6 @@ PATIENCE_S: Final = 0.2
 _RAMP_S: Final = 2.0
 #: SYNCs without an answer after which an axis is asked by SDO: a drive may leave NMT state OPERATIONAL (0x1029).
 _SILENT: Final = 2
-#: An axis is at rest when its motor has stayed within so many revolutions for so long [s]: a braked axis shakes while
-#: others are stopped.
-_STILL_REVOLUTIONS: Final = 0.003
-STILL_S: Final = 0.05
-#: The same as a share of what the motor travelled in that time at its largest speed: less with a low gear ratio.
-_STILL_SHARE: Final = 0.2
-#: Rounding of a sum of SYNC periods [s].
-_TIME_TOLERANCE_S: Final = 1e-9
 #: SYNCs after which a drive that was commanded to hold its axis again gets the position that it has reached meanwhile.
 _ENABLE_SYNCS: Final = 3
 #: Controlwords from SWITCH ON DISABLED to OPERATION ENABLED.
@@ -134,14 +127,10 @@ class _Axis:
         self.state = State.OPERATION_ENABLED
         self.enabled_s = 0.0
         self.left_s: float | None = None
-        self._moving_s = 0.0
-        self._seen_s = 0.0
-        self._fastest_per_s = 0.0
-        self._low = self._high = 0
+        self._standstill = Standstill(drive.scale.revolutions(1.0))
         self._stood = False
         self._counts: list[int] = []
         self._at_leaving = 0
-        self._allowed = abs(drive.scale.revolutions(_STILL_REVOLUTIONS))
 
     @property
     def done(self) -> bool:
@@ -150,7 +139,7 @@ class _Axis:
 
     def see(self, time_s: float, state: State, count: int) -> None:
         """Process one reading."""
-        self._look_whether_still(time_s, count)
+        self._standstill.see(time_s, count)
         self._counts.append(count)
         self.state = state
         if state is State.OPERATION_ENABLED and self.left_s is None:
@@ -158,20 +147,7 @@ class _Axis:
             self._at_leaving = len(self._counts) - 1
         elif self.left_s is None:
             self.left_s = time_s
-        still_s = time_s - max(self._moving_s, self.left_s or 0.0)
-        self._stood |= self.left_s is not None and still_s >= STILL_S - _TIME_TOLERANCE_S
-
-    def _look_whether_still(self, time_s: float, count: int) -> None:
-        """Store in `_moving_s` when the motor last left the range in which it counts as at rest."""
-        if not self._counts:
-            self._low = self._high = count
-        elif time_s > self._seen_s:
-            self._fastest_per_s = max(self._fastest_per_s, abs(count - self._counts[-1]) / (time_s - self._seen_s))
-        self._low, self._high = min(self._low, count), max(self._high, count)
-        if self._high - self._low > max(1.0, min(self._allowed, _STILL_SHARE * STILL_S * self._fastest_per_s)):
-            self._low = self._high = count
-            self._moving_s = time_s
-        self._seen_s = time_s
+        self._stood |= self.left_s is not None and self._standstill.at_rest(self.left_s)
 
     def ask(self, time_s: float) -> None:
         """Read statusword and position by SDO instead, and process them."""
@@ -205,7 +181,7 @@ class _Axis:
             moved_rad=abs(rad) * moved,
             coast_rad=abs(rad) * coast,
             stood=self.done,
-            rest_s=self._moving_s,
+            rest_s=self._standstill.moving_s,
         )
 
 

@@ -1,5 +1,7 @@
 """Table of the conditions monitored on the bus and in the drives while axes are enabled, and of the reactions.
 
+`drives.monitor` goes through the rules in this order; rules without a scope are raised or counted where they are seen.
+
 `stop`: every axis is stopped by its quick stop ramp, then disabled, and nothing resumes by itself. `along the path`
 (requested by the motion loop): time along the path is slowed down to a stop, then the axes are disabled. `retry`: the
 SYNC is marked incomplete and the sample is taken again. `count`: it is counted in the statistics and nothing else.
@@ -13,6 +15,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, Literal
 
+from drives.cia402 import FOLLOWING_ERROR, FOLLOWS_COMMAND, INTERNAL_LIMIT, REMOTE, STATE_MASK
 from drives.errors import (
     BusError,
     BusOff,
@@ -27,6 +30,7 @@ from drives.errors import (
 )
 
 Reaction = Literal["stop", "along the path", "retry", "count"]
+Scope = Literal["bus", "started", "enabled"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +52,10 @@ class Rule:
         What is raised; None where nothing is, or not by the drives.
     least_s : float
         In real time: shortest duration [s], because an operating system may pause the sender or the receiver.
+    scope : "bus", "started", "enabled" or None
+        Since when the monitor looks at it: always, since the drives were started by NMT, while every axis is enabled.
+    bits : int
+        Bits of the statusword that differ from those of an enabled drive where the condition holds.
     """
 
     what: str
@@ -57,6 +65,8 @@ class Rule:
     advice: str = ""
     error: type[DriveError] | None = None
     least_s: float = 0.0
+    scope: Scope | None = None
+    bits: int = 0
 
     @property
     def count(self) -> int:
@@ -81,8 +91,6 @@ _FIND: Final = "find and remove the cause before enabling again"
 
 DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
     {
-        "left_enabled": Rule("a drive leaves OPERATION ENABLED by itself", "stop", 1, _ONE, _FIND, DriveFault),
-        "emergency": Rule("an emergency message", "stop", 1, "message", _FIND, DriveFault),
         "left_operational": Rule(
             "a drive's heartbeat shows that it left the NMT state OPERATIONAL",
             "stop",
@@ -90,6 +98,62 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "heartbeat",
             "see its error register 0x1001, and look for another master that sends NMT commands",
             NotOperational,
+            scope="started",
+        ),
+        "bus_off": Rule(
+            "the CAN controller is bus-off",
+            "stop",
+            1,
+            "error frame",
+            "check wiring, termination and bit rate, then bring the interface up again",
+            BusOff,
+            scope="bus",
+        ),
+        "booted": Rule(
+            "a boot-up in the middle of a run",
+            "stop",
+            1,
+            "message",
+            "it lost power or was reset, and its configuration is gone: connect() and configure() again",
+            DriveRebooted,
+            scope="bus",
+        ),
+        "heartbeat_lost": Rule(
+            "a drive's heartbeat is missing for three of its periods, by wall clock and by SYNCs",
+            "stop",
+            0.5,
+            "s at least",
+            "check power and cabling of this drive",
+            HeartbeatLost,
+            scope="bus",
+        ),
+        "second_master": Rule(
+            "SYNC or NMT commands of another master",
+            "stop",
+            1,
+            "frame",
+            "stop the other master before enabling again",
+            ForeignMaster,
+            scope="bus",
+        ),
+        "foreign_master": Rule(
+            "SDO requests or setpoints of another master",
+            "stop",
+            3,
+            "frames",
+            "stop the other master before enabling again",
+            ForeignMaster,
+            scope="bus",
+        ),
+        "left_enabled": Rule(
+            "a drive leaves OPERATION ENABLED by itself",
+            "stop",
+            1,
+            _ONE,
+            _FIND,
+            DriveFault,
+            scope="enabled",
+            bits=STATE_MASK,
         ),
         "silent": Rule(
             "a drive leaves SYNCs unanswered",
@@ -99,6 +163,16 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "check power and cabling of this drive",
             IncompleteEpochs,
             0.1,
+            scope="started",
+        ),
+        "emergency": Rule(
+            "an emergency message",
+            "stop",
+            1,
+            "message",
+            _FIND,
+            DriveFault,
+            scope="enabled",
         ),
         "internal_limit": Rule(
             "a limit inside the drive acts (statusword bit 11)",
@@ -108,6 +182,8 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "see its torque, current, speed limits",
             DriveFault,
             0.03,
+            scope="enabled",
+            bits=INTERNAL_LIMIT,
         ),
         "following_error": Rule(
             "following error in the drive (statusword bit 13)",
@@ -117,6 +193,8 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "look for contact, a brake that drags, the tuning",
             DriveFault,
             0.03,
+            scope="enabled",
+            bits=FOLLOWING_ERROR,
         ),
         "not_remote": Rule(
             "no longer under remote control (statusword bit 9)",
@@ -126,6 +204,8 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "a panel or tool has taken it: release it there",
             DriveFault,
             0.03,
+            scope="enabled",
+            bits=REMOTE,
         ),
         "not_following": Rule(
             "a drive does not follow its target (statusword bit 12, which it showed before, is cleared)",
@@ -135,6 +215,8 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "see what in the drive overrides the target: halt, limit switch, its own mode",
             DriveFault,
             0.03,
+            scope="enabled",
+            bits=FOLLOWS_COMMAND,
         ),
         "stale": Rule(
             "the same answer again and again, and SDO says otherwise",
@@ -143,38 +225,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             _ROW,
             "its answers to SYNC are not fresh: restart the drive, check its firmware",
             DriveFault,
-        ),
-        "heartbeat_lost": Rule(
-            "a drive's heartbeat is missing for three of its periods, by wall clock and by SYNCs",
-            "stop",
-            0.5,
-            "s at least",
-            "check power and cabling of this drive",
-            HeartbeatLost,
-        ),
-        "booted": Rule(
-            "a boot-up in the middle of a run",
-            "stop",
-            1,
-            "message",
-            "it lost power or was reset, and its configuration is gone: connect() and configure() again",
-            DriveRebooted,
-        ),
-        "second_master": Rule(
-            "SYNC or NMT commands of another master",
-            "stop",
-            1,
-            "frame",
-            "stop the other master before enabling again",
-            ForeignMaster,
-        ),
-        "foreign_master": Rule(
-            "SDO requests or setpoints of another master",
-            "stop",
-            3,
-            "frames",
-            "stop the other master before enabling again",
-            ForeignMaster,
+            scope="enabled",
         ),
         "stalled": Rule(
             "in real time: this computer stalls while the axes move; the overdue setpoint is not sent",
@@ -183,14 +234,6 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "SYNC periods late",
             "end other work on this computer, give it a real-time scheduler, or raise sync_period_s",
             MasterStalled,
-        ),
-        "bus_off": Rule(
-            "the CAN controller is bus-off",
-            "stop",
-            1,
-            "error frame",
-            "check wiring, termination and bit rate, then bring the interface up again",
-            BusOff,
         ),
         "queue_full": Rule(
             "the transmit queue stays full",

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NoReturn, Protocol
 
+from drives.access import Entry
 from drives.errors import ProfileError
-from drives.profile import DriveProfile, Signal, TorqueOffsetWord
+from drives.profile import CountsFromObjects, DriveProfile, Rated, Signal, TorqueOffsetWord
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,8 @@ class MotorScale:
         rad per position count.
     offset_nm : float or None
         Nm per bit of 0x60B2; None = the profile does not state it, and only zero may be sent.
+    constants : Constants
+        Of the drive, from which the factors were computed.
     """
 
     torque_nm: float
@@ -57,6 +61,7 @@ class MotorScale:
     velocity_rad_s: float | None
     count_rad: float
     offset_nm: float | None
+    constants: Constants
 
     def counts(self, position_rad: float) -> int:
         """Return the nearest position count of a motor angle [rad]."""
@@ -97,6 +102,7 @@ def motor_scale(profile: DriveProfile, constants: Constants, torque_constant_nm_
         velocity_rad_s=None if profile.velocity is None else profile.velocity.rad_s(turn),
         count_rad=2.0 * math.pi / turn,
         offset_nm=_offset_nm(profile, constants, torque, torque_constant_nm_per_a),
+        constants=constants,
     )
 
 
@@ -134,3 +140,59 @@ def _positive(profile: DriveProfile, what: str, value: float | None) -> float:
         advice = "set it in the drive or give it in the profile or cell file; no default is assumed"
         raise ProfileError(f"profile {profile.name}: {what} is {value}, a positive number is needed", advice=advice)
     return value
+
+
+class Readable(Protocol):
+    """Source of a drive's constants: the drive itself, or its recorded SDO responses."""
+
+    @property
+    def profile(self) -> DriveProfile:
+        """Return the drive's profile."""
+        ...
+
+    def read(self, entry: Entry, /) -> int:
+        """Return the value of an object."""
+        ...
+
+    def refuse(self, entry: Entry, what: str, advice: str, /) -> NoReturn:
+        """Raise `ConfigurationRefused` about an object."""
+        ...
+
+
+def read_constants(access: Readable) -> Constants:
+    """Read the constants that the profile takes from the drive: rated values and encoder resolution.
+
+    Raises
+    ------
+    ConfigurationRefused
+        A value of zero.
+    SdoError
+        An object cannot be read.
+    """
+    profile = access.profile
+    return Constants(
+        torque_rated=_rated(access, profile.torque.rated),
+        current_rated_a=None if profile.current is None else _rated(access, profile.current.rated),
+        offset_rated=None if profile.torque_offset is None else _rated(access, profile.torque_offset.rated),
+        counts_per_revolution=read_resolution(access),
+    )
+
+
+def read_resolution(access: Readable) -> float:
+    """Return the position counts of one motor revolution; raises as `read_constants`."""
+    counts = access.profile.position.counts_per_revolution
+    if not isinstance(counts, CountsFromObjects):
+        return counts.value
+    per = 1 if counts.per is None else access.read(counts.per)
+    if counts.per is not None and per == 0:
+        access.refuse(counts.per, "is 0", "set the encoder resolution in the drive")
+    return access.read(counts.object) / per
+
+
+def _rated(access: Readable, rated: Rated | None) -> float | None:
+    if rated is None or rated.object is None or rated.unit is None:
+        return None if rated is None else rated.value
+    raw = access.read(rated.object)
+    if raw <= 0:
+        access.refuse(rated.object, f"the rated value is {raw}", "set it in the drive, or give it in the profile")
+    return raw * rated.unit

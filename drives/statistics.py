@@ -6,13 +6,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drives.bus import Bus
 from drives.busload import load_percent
-from drives.drive import Cia402Drive
-from drives.emcy import EmcyLog, Emergency
+from drives.emcy import Emergency
 from drives.epoch import EpochCounts
 from drives.exchange import SyncExchange
 from drives.latency import SdoStatistics
+from drives.nodes import Nodes
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +68,16 @@ class GroupStatistics:
     jitter_p99_s: float | None
 
 
-def group_statistics(
-    bus: Bus, drives: Sequence[Cia402Drive], exchange: SyncExchange | None, emcy: EmcyLog
-) -> GroupStatistics:
+def group_statistics(nodes: Nodes, exchange: SyncExchange | None) -> GroupStatistics:
     """Return the counters of a group; counters of the exchange are zero before it exists."""
     counts = EpochCounts() if exchange is None else exchange.collector.counts
-    bitrate = bus.spec.bitrate_bit_s
+    bus, emcy, bitrate = nodes.bus, nodes.emcy, nodes.bus.spec.bitrate_bit_s
     planned, measured, lateness, overruns = 0.0, None, (), 0
     if exchange is not None:
-        planned = load_percent(exchange.cycle_bits, exchange.timing.period_s, bitrate)
+        planned = load_percent(nodes.cycle_bits, nodes.timing.period_s, bitrate)
         if exchange.started_s is not None and exchange.cycles > 1:
             elapsed_s = time.monotonic() - exchange.started_s
-            measured = load_percent(exchange.cycles * exchange.cycle_bits, elapsed_s, bitrate)
+            measured = load_percent(exchange.cycles * nodes.cycle_bits, elapsed_s, bitrate)
         lateness, overruns = tuple(exchange.clock.lateness_s), exchange.clock.overruns
     return GroupStatistics(
         cycles=0 if exchange is None else exchange.cycles,
@@ -94,7 +91,7 @@ def group_statistics(
         warnings=0 if exchange is None else exchange.warnings,
         foreign=dict(bus.foreign),
         frames=dict(bus.counts),
-        sdo=tuple(drive.access.sdo.statistics for drive in drives),
+        sdo=tuple(drive.access.sdo.statistics for drive in nodes.drives),
         emcy=emcy.messages,
         emcy_count=emcy.count,
         bus_load_planned_percent=planned,

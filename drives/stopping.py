@@ -17,7 +17,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from drives import bringup
 from drives.cia402 import (
     AT_REST,
     DISABLE_OPERATION,
@@ -31,10 +30,12 @@ from drives.cia402 import (
 )
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
-from drives.errors import DriveError, SdoAbort, TransitionTimeout, while_stopping
+from drives.errors import DriveError, TransitionTimeout, while_stopping
 from drives.exchange import SyncExchange
 from drives.objects import OBJECTS
+from drives.scaling import read_resolution
 from drives.sdo import ONCE
+from drives.standstill import Standstill
 
 #: SYNCs without an answer after which an axis is queried by SDO instead.
 _SILENT: Final = 3
@@ -50,11 +51,9 @@ _PATIENCE_S: Final = 0.2
 #: Time for which positions are monitored after the brakes have closed; by SYNCs, and at most by wall clock.
 _DROP_WATCH_S: Final = 0.3
 _DROP_WATCH_MAX_S: Final = 1.0
-#: Where only SDO is left: time between two readings, and by how much they differ at rest, in motor revolutions.
+#: Where only SDO is left: time between two readings [s], and the velocity that a drive may report at rest [rad/s].
 _SDO_PAUSE_S: Final = 0.02
-_SDO_STILL_REVOLUTIONS: Final = 0.005
-#: Readings in a row that have to show that.
-_SDO_STILL_READINGS: Final = 3
+_SDO_STILL_RAD_S: Final = 1.5
 #: Controlwords that lead from OPERATION ENABLED to SWITCH ON DISABLED, and one to spare.
 _SDO_WORDS: Final = 4
 _EMERGENCY: Final = "use the emergency stop; then check the drive"
@@ -293,8 +292,7 @@ def _by_sdo(exchange: SyncExchange, axis: int, step: _Step, without_sync: bool) 
     drive = exchange.drives[axis]
     try:
         if step.disables:
-            allowed = drive.scale.revolutions(_SDO_STILL_REVOLUTIONS)
-            _lead_down(drive, allowed if without_sync else None, time.sleep)
+            _lead_down(drive, drive.scale.revolutions(1.0) if without_sync else None, time.sleep)
             return []
         for _ in range(_SDO_WORDS):
             state = _state(drive)
@@ -314,14 +312,14 @@ def _unknown(failure: DriveError) -> DriveError:
     return failure
 
 
-def _lead_down(drive: Cia402Drive, allowed_count: float | None, pause: Callable[[float], None]) -> None:
+def _lead_down(drive: Cia402Drive, turn_count: float | None, pause: Callable[[float], None]) -> None:
     """Bring a drive to SWITCH ON DISABLED by SDO, once its standstill has been read.
 
     Parameters
     ----------
     drive : Cia402Drive
-    allowed_count : float or None
-        Difference of two readings of the position at rest; None = standstill was read, or waited for, by SYNC.
+    turn_count : float or None
+        Position counts of one motor revolution; None = standstill was read, or waited for, by SYNC.
     pause : callable
         Waits for a number of seconds.
 
@@ -337,7 +335,7 @@ def _lead_down(drive: Cia402Drive, allowed_count: float | None, pause: Callable[
         if state in _HELD:
             if state is State.OPERATION_ENABLED:
                 _send(drive, QUICK_STOP)
-            if allowed_count is not None and not _wait_for_rest(drive, allowed_count, pause):
+            if turn_count is not None and not _wait_for_rest(drive, turn_count, pause):
                 raise _still_moving(drive, "; it was not disabled")
             state = _state(drive)
         if state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE):
@@ -372,9 +370,8 @@ def take_down(drive: Cia402Drive, pause: Callable[[float], None]) -> str:
         return ""
     position = drive.setup.profile.position.object
     try:
-        allowed = _SDO_STILL_REVOLUTIONS * bringup.read_resolution(drive.access)
         before = drive.access.read(position, ONCE)
-        _lead_down(drive, allowed, pause)
+        _lead_down(drive, read_resolution(drive.access), pause)
         after = drive.access.read(position, ONCE)
     except Exception as error:
         raise _unknown(while_stopping(error, drive.node_id)) from error
@@ -395,45 +392,27 @@ def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step, without_sync: 
     """Return whether a stopped axis is at rest, by its answers to SYNC or, without any, by SDO."""
     if without_sync:
         drive = exchange.drives[axis]
-        return _wait_for_rest(drive, drive.scale.revolutions(_SDO_STILL_REVOLUTIONS), time.sleep)
+        return _wait_for_rest(drive, drive.scale.revolutions(1.0), time.sleep)
     return step.done(axis) or exchange.states[axis] not in step.reached
 
 
-def _wait_for_rest(drive: Cia402Drive, allowed_count: float, pause: Callable[[float], None]) -> bool:
+def _wait_for_rest(drive: Cia402Drive, turn_count: float, pause: Callable[[float], None]) -> bool:
     """Wait until SDO readings of position and velocity show that the axis is at rest; return whether they do in time.
 
-    The velocity is read where the profile states its unit.
+    The velocity (0x606C) decides too where the profile states its unit and the drive does not refuse the object.
     """
-    position, allowed = drive.setup.profile.position.object, max(1.0, allowed_count)
-    turn = allowed_count / _SDO_STILL_REVOLUTIONS
-    until_s = time.monotonic() + _RAMP_S
-    before: int | None = None
-    still = 0
-    while time.monotonic() < until_s:
-        count = drive.access.read(position, ONCE)
-        at_rest = before is not None and abs(count - before) <= allowed and _velocity_is_zero(drive, turn)
-        still = still + 1 if at_rest else 0
-        if still >= _SDO_STILL_READINGS:
-            return True
-        before = count
-        pause(_SDO_PAUSE_S)
-    return False
-
-
-def _velocity_is_zero(drive: Cia402Drive, turn_count: float) -> bool:
-    """Return whether the drive reports no speed (0x606C) above that of `_SDO_STILL_REVOLUTIONS` per reading.
-
-    Without a known unit, or where the drive refuses the object, the position alone decides.
-    """
-    velocity = drive.setup.profile.velocity
+    position, velocity = drive.setup.profile.position.object, drive.setup.profile.velocity
     unit_rad_s = None if velocity is None else velocity.rad_s(turn_count)
-    if velocity is None or unit_rad_s is None:
-        return True
-    limit_rad_s = 2.0 * math.pi * _SDO_STILL_REVOLUTIONS / _SDO_PAUSE_S
-    try:
-        return abs(drive.access.read(velocity.object, ONCE) * unit_rad_s) <= limit_rad_s
-    except SdoAbort:
-        return True
+    standstill, until_s, time_s = Standstill(turn_count), time.monotonic() + _RAMP_S, 0.0
+    while time.monotonic() < until_s:
+        standstill.see(time_s, drive.access.read(position, ONCE))
+        turns = None if velocity is None else drive.access.read_readable(velocity.object, ONCE)
+        speed = abs(turns * unit_rad_s) if turns is not None and unit_rad_s is not None else 0.0
+        if standstill.at_rest() and speed <= _SDO_STILL_RAD_S:
+            return True
+        pause(_SDO_PAUSE_S)
+        time_s += _SDO_PAUSE_S  # at least: a reading takes its time too
+    return False
 
 
 def _stays(drive: Cia402Drive) -> TransitionTimeout:

@@ -15,7 +15,7 @@ import pytest
 
 from gateway.data.table import write_csv
 from gateway.motion.power import powered
-from gateway.motion.stream import MoveOptions, Stream
+from gateway.motion.stream import MoveOptions
 from gateway.motion.trajectory import MotionLimits, straight
 from sim.serve import running
 from tests.data.product_copy import ROOT, ProductCopy
@@ -129,10 +129,10 @@ def test_another_fieldbus_is_one_class():
     pair = Together(np.zeros(6))
     try:
         assert not any("can" in type(drives).__module__.split(".") for drives in pair.drives)
-        stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+        stream = pair.link.stream(pair.cell, MoveOptions())
         with powered(stream):
             answers = []
-            for index, workspace in enumerate(stream.station.workspaces):
+            for index, workspace in enumerate(stream.workspaces):
                 limits = MotionLimits(workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
                 at = stream.q_rad[index]
                 answers.append(straight(at, at + AWAY_RAD, limits, pair.cell.sync_period_s))

@@ -125,13 +125,16 @@ def _cpu_us(cycle: Callable[[], object], cycles: int) -> float:
 
 
 class _Loopback:
-    """An adapter that costs nothing: the answers to a SYNC are ready-made, everything else is dropped."""
+    """An adapter that costs nothing: the answers to a SYNC are ready-made, everything else is dropped.
+
+    Their time stamp is never before a SYNC.
+    """
 
     def __init__(self) -> None:
         self.waiting: list[can.Message] = []
         self.sets = [
             [
-                can.Message(arbitration_id=0x180 + node, data=data, is_extended_id=False)
+                can.Message(arbitration_id=0x180 + node, data=data, is_extended_id=False, timestamp=4e9)
                 for node, data in zip(NODES, answers(count), strict=True)
             ][::-1]
             for count in range(2)

@@ -90,7 +90,8 @@ class Responder:
             answer = bytes([request[0] & 0x10 | (7 - len(part)) << 1 | last]) + part.ljust(7, b"\0")
         elif request[0] & 0xE0 == 0x40:
             live = {(0x6041, 0): self.state[node], (0x6064, 0): self.positions[node], (0x6061, 0): 8}
-            value = live.get(address, values.get(address, 0))
+            unset = (address[1] == 1 and 0x1400 <= address[0] < 0x1A00) << 31  # a PDO that does not exist
+            value = live.get(address, values.get(address, unset))
             answer = (
                 bytes([0x43 | self.unused.get((node, *address), 0)])
                 + request[1:4]

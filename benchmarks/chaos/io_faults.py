@@ -24,8 +24,8 @@ from drives.bus import SDO_ANSWER_BASE, BusSpec
 from drives.group import DriveGroup
 from drives.realtime import RealTime
 from gateway.acquire.events import Started
-from gateway.acquire.run_loop import run_plan
-from gateway.acquire.station import MemoryStore, VisitStation
+from gateway.acquire.run_loop import Run, rest_visits
+from gateway.acquire.visit_store import MemoryStore
 from gateway.commands.console import Session
 from gateway.motion.opening import BusOverride, frame_log_watched, open_arm
 from gateway.motion.stops import StopDesk
@@ -133,17 +133,10 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
                             for _ in range(20):
                                 session.note(f"{event} {'-' * 200}")
 
-                    station = VisitStation(
-                        opened.arm,
-                        opened.workspace,
-                        store,
-                        (listen,),
-                        options=MoveOptions(desk),
-                        pacing=opened.group.timing.pacing,
-                    )
+                    run = Run(opened.arm, opened.workspace, store, (listen,), MoveOptions(desk), pacing)
                     plan = short_plan(opened, seed)
                     planned = len(plan.visits)
-                    run_plan(station, plan, "none")
+                    run.execute(rest_visits(plan, opened.arm, opened.workspace), "none")
             except Exception as raised:
                 error = raised
         shown, unwritten = b"", kind == "frozen terminal"

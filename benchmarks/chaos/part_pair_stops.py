@@ -91,7 +91,7 @@ def stopped(kind: str, seed: int, at_s: float, row: str = ROW) -> PairStop:
             constant_function(rig.cell.nominal_relation),
             PairMotionOptions(speed=SPEED, force_limit_n=NO_LIMIT_N),
         )
-        desk, world, asked = run.motion.stream.station.options.desk, rig.world, []
+        desk, world, asked = run.motion.stream.options.desk, rig.world, []
         begin_s = world.time_s + at_s
 
         def stop(time_s: float) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 from benchmarks.chaos.processes import Drives, drives, serve_pair
 from benchmarks.chaos.rig import with_real_pacing
 from benchmarks.fuzz.check_files import RESULT_SEED
+from drives.files import read_sealed, write_sealed
 from gateway.excite.plan_file import plan_as_plain
 from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.jobs.cell_context import open_cell
@@ -260,7 +261,7 @@ def prove(stage: Stage) -> Stage:
     if code:
         raise RuntimeError(f"the stop is not proven: {said}")
     for path in files.values():
-        path.write_text(path.read_text().replace('"moved": false', '"moved": true'))
+        write_sealed(path, read_sealed(path) | {"moved": True})
     _PROOFS[stage.cell.read_bytes()] = {name: path.read_bytes() for name, path in files.items()}
     if stage.pair:
         stage.served.ask("grip", False)

@@ -27,8 +27,8 @@ from drives.realtime import RealTime
 from gateway.acquire.events import Event, Started, StateChanged
 from gateway.acquire.plan import Plan, plan_poses
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.run_loop import run_plan
-from gateway.acquire.station import MemoryStore, VisitStation
+from gateway.acquire.run_loop import Run, rest_visits
+from gateway.acquire.visit_store import MemoryStore
 from gateway.check.brakes import try_brakes
 from gateway.check.moves import check_moves
 from gateway.check.stop import prove_stop
@@ -266,17 +266,12 @@ def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, beg
         return
     store = MemoryStore()
     evidence.visits = store.visits
-    station = VisitStation(
-        opened.arm,
-        opened.workspace,
-        store,
-        (evidence.receive, begin.receive, lambda event: _say(rig, kind, event)),
-        pacing=opened.group.timing.pacing,
-    )
+    listeners = (evidence.receive, begin.receive, lambda event: _say(rig, kind, event))
+    run = Run(opened.arm, opened.workspace, store, listeners, pacing=opened.group.timing.pacing)
     plan = short_plan(opened, outcome.seed, LOCKSTEP_POSES_LONG if kind in BY_THE_CLOCK_TOO else LOCKSTEP_POSES)
     evidence.planned = len(plan.visits)
     try:
-        run_plan(station, plan, "none")
+        run.execute(rest_visits(plan, opened.arm, opened.workspace), "none")
     finally:
         if kind == "brake_slips":
             outcome.error = next((reason for reason in evidence.reasons if reason), "")

@@ -99,9 +99,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         # delayed but in time is regular: nothing may be counted
         "tpdo_delayed": Stated(counts=(_COMPLETE, Count("delayed", most=0)), real=()),
         "tpdo_reordered": Stated(counts=(_COMPLETE, Count("delayed", most=0), Count("ambiguous", most=0)), real=()),
-        "tpdo_late": Stated(
-            counts=(_GAPS, Count("delayed or twice", least=1)), real=(_GAPS, Count("delayed or unsure", least=1))
-        ),
+        "tpdo_late": Stated(counts=(_GAPS, Count("delayed or unsure", least=1))),
         "tpdo_short": Stated(counts=(_GAPS, Count("wrong_length", share=1.0))),
         "tpdo_empty": Stated(counts=(_GAPS, Count("wrong_length", share=1.0))),
         "tpdo_torn": Stated(counts=(_GAPS, Count("ambiguous", share=1.0))),
@@ -109,9 +107,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
             DriveFault, r"repeats position -?\d+, torque -?\d+ since \d+ SYNCs; SDO reports position", "stale"
         ),
         "tpdo_random_loss": Stated(counts=(_GAPS,)),
-        "burst": Stated(
-            counts=(_GAPS, Count("delayed or twice", least=1)), real=(_GAPS, Count("delayed or unsure", least=1))
-        ),
+        "burst": Stated(counts=(_GAPS, Count("delayed or unsure", least=1))),
         # a command that a drive does not receive is not reported; what counts is that no sample is touched
         "rpdo_lost": Stated(counts=(_COMPLETE,), real=()),
         "rpdo_gone": Stated(LimitExceeded, _BEHIND, "stays_behind", "joint"),

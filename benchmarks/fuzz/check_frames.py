@@ -105,7 +105,7 @@ def answers() -> st.SearchStrategy[list[tuple[int, bytes]]]:
 def check_answers(frames: list[tuple[int, bytes]]) -> None:
     """A slot holds the frame of its drive if exactly one content of the right length came, else nothing."""
     wire, bus = open_wire()
-    collector = EpochCollector(bus, list(SIZES.items()))
+    collector = EpochCollector(bus, list(SIZES.items()), 1e-3)
     for can_id, data in frames:
         wire.arriving.append(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
     with cpu_limit():

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from benchmarks.pair.bus_rig import BACK_SPEED, CELL, Power, bus_spec, simulated
 from benchmarks.pair.inline import inline
-from gateway.motion.stream import Stream
 from gateway.pair.link import PairLink, open_link
 from gateway.pair.pair_cell import PairCell, load_pair
 from gateway.pair.pair_motion import PairMotionOptions
@@ -48,7 +47,7 @@ class GapRig:
         """An embodiment at rest at the start, powered."""
         row = embodiment_of(self.cell, name)
         options = PairMotionOptions(speed=speed, back_speed=BACK_SPEED)
-        stream = Stream(self.link.station(self.cell, options.moves))
+        stream = self.link.stream(self.cell, options.moves)
         run = PairRun(self.cell, stream, row, one_relation(self.cell, row, speed), options)
         self.power.on(stream)
         run.start()

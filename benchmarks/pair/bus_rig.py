@@ -84,7 +84,7 @@ class PairRig:
         """First function through `count` points."""
         taught = TaughtPath("", "")
         options = PairMotionOptions(force_limit_n=NO_LIMIT_N)
-        stream = Stream(self.link.station(self.cell, options.moves))
+        stream = self.link.stream(self.cell, options.moves)
         teacher = Teacher(PairMotion(self.cell, stream, options), cell_gains(self.cell))
         with powered(stream):
             teacher.run(taught, self.cell.path(1.0).uniform(count), lambda _taught, _point: None)
@@ -98,7 +98,7 @@ class PairRig:
         back: TransformFunction | None = None,
     ) -> PairRun:
         """A row at rest at the start, powered, the part gripped there free of force."""
-        stream = Stream(self.link.station(self.cell, options.moves))
+        stream = self.link.stream(self.cell, options.moves)
         run = PairRun(self.cell, stream, row, first, options, back)
         self.power.on(stream)
         run.start()

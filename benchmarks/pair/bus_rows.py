@@ -280,7 +280,7 @@ def stop(bench: Bench) -> None:
 
     run = rig.run(bench.row_of("A"), bench.first(bench.row_of("A")), PairMotionOptions(speed=USUAL))
     decided: list[float] = []
-    desk = run.motion.stream.station.options.desk
+    desk = run.motion.stream.options.desk
     plain = desk.ask
     desk.ask = lambda *wish: (decided.append(rig.world.time_s), plain(*wish))[1]  # type: ignore[method-assign]
     begun = first_slower(run, decided, lambda: rig.world.time_s)

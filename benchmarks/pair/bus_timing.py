@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.pair.bus_rig import CELL, pair_rig
 from drives.errors import DriveError
 from gateway.motion.power import powered
-from gateway.motion.stream import MoveOptions, Stream
+from gateway.motion.stream import MoveOptions
 from gateway.pair.link import PairLink, open_link
 from gateway.pair.pair_cell import PairCell, load_pair
 from gateway.pair.transform_function import function_of_knots
@@ -72,7 +72,7 @@ def _served(cell_file: Path, bus: str) -> Iterator[None]:
 
 def lockstep(cycles: int = CYCLES) -> dict[str, Any]:
     """Twelve drives, both buses in lockstep, the arms held: the physics is left out, the drives are not."""
-    with STILL, pair_rig(None) as rig, powered(Stream(rig.link.station(rig.cell, MoveOptions()))) as stream:
+    with STILL, pair_rig(None) as rig, powered(rig.link.stream(rig.cell, MoveOptions())) as stream:
         before = rig.link.statistics().incomplete
         began = time.perf_counter()
         for cycle in range(cycles):
@@ -100,7 +100,7 @@ def _clocked(cell: PairCell, link: PairLink, wanted: int) -> dict[str, Any]:
     """Hold both arms for some cycles; a machine that is too busy for 4 ms ends it early, and that is reported."""
     cycles, delayed, ended = 0, 0, ""
     try:
-        with powered(Stream(link.station(cell, MoveOptions()))) as stream:
+        with powered(link.stream(cell, MoveOptions())) as stream:
             link.together.skew_s.clear()
             for _ in range(wanted):
                 samples = stream.hold("hold", cycles, wanted)

@@ -38,7 +38,6 @@ from drives.errors import DriveError, MasterStalled
 from gateway.data.sample import ArmSample
 from gateway.errors import GatewayError
 from gateway.motion.power import powered
-from gateway.motion.stream import Stream
 from gateway.pair.force_guard import DELAY_TEXT, DELAYED_SHARE
 from gateway.pair.link import PairLink, open_link
 from gateway.pair.pair_cell import PairCell, load_pair
@@ -122,7 +121,7 @@ class Bench:
     def teach(self, path_taught: TaughtPath) -> TransformFunction:
         """First function, by the taught points and those still missing."""
         options = PairMotionOptions()
-        stream = Stream(self.link.station(self.cell, options.moves))
+        stream = self.link.stream(self.cell, options.moves)
         teacher = Teacher(PairMotion(self.cell, stream, options), cell_gains(self.cell))
         with powered(stream):
             teacher.run(path_taught, self.cell.path(1.0).uniform(POINTS), lambda _taught, _point: None)
@@ -137,7 +136,7 @@ class Bench:
     ) -> PairRun:
         """An embodiment at rest at the start, moved there with open grippers; a part gripped there free of force."""
         options = PairMotionOptions(speed=SPEED, laws_s=laws_s)
-        stream = Stream(self.link.station(self.cell, options.moves))
+        stream = self.link.stream(self.cell, options.moves)
         row = embodiment_of(self.cell, name)
         run = PairRun(self.cell, stream, row, first or one_relation(self.cell, row, SPEED), options, back)
         holds = self.cell.gap is None

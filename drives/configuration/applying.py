@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from drives.access import NodeAccess, ObjectAccess
-from drives.bringup import check_at_rest
+from drives.bringup import refuse_enabled
 from drives.configuration.dcf import NodeConfiguration
 from drives.configuration.difference import Compared, differing
 from drives.configuration.kinds import confirmation_reason, is_mapping, why_never_written
@@ -146,7 +146,7 @@ def require_at_rest(accesses: Sequence[ObjectAccess]) -> None:
     DriveFault
     """
     for access in accesses:
-        check_at_rest(access)
+        refuse_enabled(access)
 
 
 def write_all(work: Sequence[NodeWrites], notify: Callable[[int, Step], None] = lambda _node, _step: None) -> None:

@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Final
 
 from drives.abort import ABSENT
-from drives.bringup import read_identity
 from drives.bus import Bus
 from drives.datasheet.building import read_sheet
 from drives.datasheet.sheet import Sheet
-from drives.discovery import nmt_states, require_one
+from drives.discovery import nmt_states, probe, read_identity, require_one
 from drives.errors import IdentityMismatch, SdoAbort, SdoProtocolError
 from drives.foreign_master import refuse_foreign
 from drives.objects import OBJECTS, DataType, object_name
-from drives.probe import probe
 from drives.sdo import SdoClient
 from drives.values import Identity
 

@@ -15,8 +15,9 @@ from gateway.data.blackbox.part import FIELDS, BoxHeader
 from gateway.data.blackbox.recorder import BoxRecorder
 from gateway.data.blackbox.ring_buffer import box_of
 from gateway.data.blackbox.spool import place_in
+from gateway.motion.arms import Arms
 from gateway.motion.observed_fields import fill
-from gateway.motion.observer import Observed, Observers, Scene
+from gateway.motion.observer import Observed, Observers
 from gateway.motion.opening import OpenArm
 from gateway.result.origin import software
 
@@ -43,10 +44,10 @@ class BlackBoxWatch:
         self._recorder: BoxRecorder | None = recorder
         self._arm, self._place = arm, -1
 
-    def began(self, scene: Scene) -> None:
+    def began(self, arms: Arms, _workspaces: object, _period_s: float, _state: object) -> None:
         """Note that arms are about to be powered."""
         self.powered = True
-        names = [member.name for member in scene.arms.members]
+        names = [member.name for member in arms.members]
         self._place = names.index(self._arm) if self._arm in names else -1
 
     def sampled(self, observed: Observed) -> None:
@@ -73,9 +74,8 @@ def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
 
     Errors of the black box become notes of the error that ended the run. They do not stop the arm.
     """
-    recorder = BoxRecorder(header)
+    recorder = BoxRecorder(opened.disk, header)
     watch, bus = BlackBoxWatch(recorder, opened.config.name), opened.group.bus
-    recorder.wait_until_kept()
     bus.add_tap(recorder.frame)
     reason: str | None = None
     failure: BaseException | None = None

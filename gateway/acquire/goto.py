@@ -11,8 +11,8 @@ import numpy as np
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import MoveInwards, MoveTo, Plan, check_plan, plan_to
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.run_loop import motions_of, run_motions
-from gateway.acquire.station import MemoryStore, VisitStation
+from gateway.acquire.run_loop import MotionSource, Run
+from gateway.acquire.visit_store import MemoryStore
 from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError, PlanRefused
 from gateway.motion.joint_path import angles
@@ -156,8 +156,11 @@ def go(opened: OpenArm, plan: Plan, listeners: Sequence[Listener] = (), options:
     LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped, and its brakes are on.
     """
-    pacing = opened.group.timing.pacing
-    options = options or MoveOptions()
-    station = VisitStation(opened.arm, opened.workspace, MemoryStore(), tuple(listeners), options, pacing)
+
+    def transfer() -> MotionSource:
+        yield plan, 0.0, 0
+        return "arrived"
+
     check_plan(plan, opened.workspace)
-    run_motions(station, motions_of(plan), "", 0)
+    pacing = opened.group.timing.pacing
+    Run(opened.arm, opened.workspace, MemoryStore(), listeners, options, pacing).execute(transfer(), "")

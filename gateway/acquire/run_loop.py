@@ -1,8 +1,8 @@
 """The run loop of every measurement: power the arm, take the next motions from a source, execute, measure and store.
 
-A source yields plans, each from the posture in which the plan before ends. `motions_of` yields one plan: rest poses,
-excitations or a transfer. `until/run.py` yields pose after pose while a load is estimated. The brakes are on before and
-after.
+A source yields plans, each from the posture in which the plan before ends. `rest_visits` yields the poses of a plan,
+`moving.py` excitations and `goto.py` a transfer. `until/run.py` yields pose after pose while a load is estimated. The
+brakes are on before and after.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ from typing import Final
 import numpy as np
 
 from drives.errors import IncompleteEpochs
+from drives.exchange import Pacing
 from gateway.acquire.events import (
+    Event,
+    Listener,
     PeriodDone,
     PoseDone,
     Progress,
@@ -39,7 +42,7 @@ from gateway.acquire.plan import (
     step_durations,
 )
 from gateway.acquire.settle import SettleTest
-from gateway.acquire.station import VisitStation
+from gateway.acquire.visit_store import VisitStore
 from gateway.data.period import Period, PeriodLog
 from gateway.data.sample import ArmSample
 from gateway.data.visit import Visit, VisitLabel, visit_from_samples
@@ -48,10 +51,12 @@ from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
 from gateway.motion.power import powered
 from gateway.motion.reactions import ARM_RULES
-from gateway.motion.state import Phase, StateTracker
-from gateway.motion.stops import StopKind, StopRequest
-from gateway.motion.stream import FIRST_SHARE, Station, Stream
+from gateway.motion.state import Phase
+from gateway.motion.stops import StopKind, StopRequest, guarded
+from gateway.motion.stream import FIRST_SHARE, MoveOptions, Stream
+from gateway.motion.temperature import MotorTemperatures
 from gateway.motion.trajectory import MotionLimits, straight
+from gateway.motion.workspace import Workspace
 
 #: Largest number of incomplete SYNCs while sampling, as a share of the requested samples.
 REPEATED_SHARE = ARM_RULES["repeats"].limit
@@ -61,25 +66,20 @@ SINK_RAD = ARM_RULES["sinks"].limit
 #: A transfer that is longer counts as the first motion with these drives [rad].
 FAR_RAD: Final = 0.1
 
-#: Source of the next motions. Yields a checked plan from the present posture and the time [s] expected in addition to
-#: it. Advanced before the arm is powered, then with the stream whenever a plan is executed and the arm is at rest.
-MotionSource = Generator[tuple[Plan, float], Stream, None]
+#: Source of the next motions. Yields a checked plan from the present posture; the time [s] and the number of visits
+#: expected after it. Advanced before the arm is powered, then with the run whenever a plan is executed and the arm is
+#: at rest. Returns the reason of its end; one that yields nothing moves nothing.
+MotionSource = Generator[tuple[Plan, float, int], "Run", str]
 
 
-def motions_of(plan: Plan) -> MotionSource:
-    """Yield one plan."""
-    yield plan, 0.0
-
-
-def run_plan(station: VisitStation, plan: Plan, load: str, done: Sequence[tuple[int, int]] = ()) -> None:
-    """Run a plan at rest from the present posture; parameters and errors as `run_motions`.
+def rest_visits(plan: Plan, arm: Arm, workspace: Workspace, done: Sequence[tuple[int, int]] = ()) -> MotionSource:
+    """Yield a plan of rest poses, ordered from the present posture.
 
     Parameters
     ----------
-    station : VisitStation
     plan : Plan
-        Its poses are ordered from the present posture.
-    load : str
+    arm : Arm
+    workspace : Workspace
     done : sequence of (pose, direction)
         Visits that need not be repeated.
 
@@ -88,105 +88,145 @@ def run_plan(station: VisitStation, plan: Plan, load: str, done: Sequence[tuple[
     PlanRefused
         The plan violates a limit; no drive was enabled.
     """
-    check_plan(plan, station.workspace)
-    plan = plan_from(plan, station.workspace, station.arm.where(), done)
-    check_plan(plan, station.workspace)
-    run_motions(station, motions_of(plan), load, len(plan.visits))
+    if not set(plan.visits).issubset(done):
+        check_plan(plan, workspace)
+        plan = plan_from(plan, workspace, arm.where(), done)
+        check_plan(plan, workspace)
+        yield plan, 0.0, 0
+    return "all poses measured"
 
 
-def run_motions(
-    station: VisitStation, source: MotionSource, load: str, measurements: int
-) -> tuple[tuple[str, int], ...]:
-    """Execute the plans of a source; after return or an error, the brakes are on and what was measured is on disk.
+class Run:
+    """One run of a measurement.
 
     Parameters
     ----------
-    station : VisitStation
-        The speed override of its options applies to every motion.
-    source : MotionSource
-    load : str
-        Label of the mounted load.
-    measurements : int
-        Expected number of visits and periods.
+    arm : Arm
+        Connected and configured, not enabled.
+    workspace : Workspace
+    store : VisitStore
+    listeners : sequence of Listener
+        Called with every event, in the thread of the run.
+    options : MoveOptions, optional
+        Their speed override applies to every motion.
+    pacing : "lockstep" or "real"
+    temperatures : MotorTemperatures or None
+        Read while the arm is sampled; None = no drive reports one.
 
-    Returns
-    -------
-    tuple of (str, int)
+    Attributes
+    ----------
+    stream : Stream
+        Stream of the arm.
+    measured : list of Visit
+        Complete visits of the present plan.
+    missed : tuple of (str, int)
         Excitation and number of the periods that lack a SYNC after a repetition.
-
-    Raises
-    ------
-    PlanRefused
-        The arm dropped while its brakes opened, or the source has no allowed motion; the arm was stopped.
-    LimitExceeded, PoseNeverSettles
-        The arm was stopped.
-    DriveError
-        Bus or drive failed; the arm was stopped.
-    InputError
-        The recording cannot be written, or not fast enough; the arm was stopped.
-    KeyboardInterrupt
-        A stop was requested; the arm was stopped.
     """
-    run = _Run(station, source, load)
-    run.execute(measurements)
-    return run.missed
 
+    stream: Stream
 
-class _Run:
-    """State of one run; `missed` as `run_motions` returns it."""
-
-    def __init__(self, station: VisitStation, source: MotionSource, load: str) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        workspace: Workspace,
+        store: VisitStore,
+        listeners: Sequence[Listener] = (),
+        options: MoveOptions | None = None,
+        pacing: Pacing = "lockstep",
+        temperatures: MotorTemperatures | None = None,
+    ) -> None:
+        self.measured: list[Visit] = []
         self.missed: tuple[tuple[str, int], ...] = ()
-        self._station, self._source, self._load = station, source, load
-        self._plan, self._further_s = next(source)
-        self._arm, self._period_s = self._plan.arm, self._plan.settings.period_s
-        self._state = StateTracker(self._arm, lambda new: station.notify(StateChanged(new)))
-        self._is_first = station.options.first_done is not None
-        # excitations are planned at their reduced speed: their run slows its transfers, and the stream slows nothing
-        self._is_driven = any(isinstance(step, Pass) for step in self._plan.steps)
+        self._arm, self._workspace, self._store, self._listeners = arm, workspace, store, listeners
+        self._options: MoveOptions = options or MoveOptions()
+        self._pacing: Pacing = pacing
+        self._temperatures = temperatures
         self._broken: Visit | Period | None = None
         self._elapsed_s = self._now_s = 0.0
-        self._schedule()
-        if self._is_first and self._ahead_s:
-            self._ahead_s[0] /= FIRST_SHARE
         self._gone_rad = 0.0
-        self._direction = np.zeros(station.workspace.robot.axes, dtype=np.int8)
+        self._direction = np.zeros(workspace.robot.axes, dtype=np.int8)
         self._settle_s: dict[int, float] = {}
         self._settled_s = 0.0
         self._first_side: Visit | None = None
 
-    def execute(self, measurements: int) -> None:
-        """Power the arm and execute every plan; store what an error has interrupted."""
-        station = self._station
-        options = replace(station.options, override=1.0) if self._is_driven else station.options
-        moved = Station(
-            arms=Arms((station.arm,), station.pacing),
-            workspaces=(station.workspace,),
-            period_s=self._period_s,
-            state=self._state,
-            options=options,
-            report=self._report,
-        )
-        station.options.desk.watch(self._disk)
+    def execute(self, source: MotionSource, load: str) -> str:
+        """Execute the plans of a source; after return or an error, the brakes are on and what was measured is on disk.
+
+        Parameters
+        ----------
+        source : MotionSource
+        load : str
+            Label of the mounted load.
+
+        Returns
+        -------
+        str
+            Reason of the end of the source.
+
+        Raises
+        ------
+        PlanRefused
+            The arm dropped while its brakes opened, or the source has no allowed motion; the arm was stopped.
+        LimitExceeded, PoseNeverSettles
+            The arm was stopped.
+        DriveError
+            Bus or drive failed; the arm was stopped.
+        InputError
+            The recording cannot be written, or not fast enough; the arm was stopped.
+        KeyboardInterrupt
+            A stop was requested; the arm was stopped.
+        """
         try:
-            with powered(Stream(moved)) as stream:
-                self._stream = stream
+            self._plan, self._further_s, further = next(source)
+        except StopIteration as ended:
+            return ended.value
+        self._load, self._period_s = load, self._plan.settings.period_s
+        passes = [step for step in self._plan.steps if isinstance(step, Pass)]
+        self._is_first = self._options.first_done is not None
+        # excitations are planned at their reduced speed: their run slows its transfers, and the stream slows nothing
+        self._is_driven = bool(passes)
+        self._schedule()
+        if self._is_first and self._ahead_s:
+            self._ahead_s[0] /= FIRST_SHARE
+        self.stream = stream = Stream(
+            Arms((self._arm,), self._pacing),
+            (self._workspace,),
+            self._period_s,
+            replace(self._options, override=1.0) if self._is_driven else self._options,
+            self._report,
+            lambda state: self.notify(StateChanged(state)),
+        )
+        desk = self._options.desk
+        desk.watch(self._disk)
+        try:
+            with powered(stream):
                 self._refuse_sunk()
                 expected_s = sum(self._ahead_s) + self._further_s
-                station.notify(Started(self._arm, self._load, measurements, expected_s))
+                visits = len(self._plan.visits) + sum(len(step.periods) for step in passes) + further
+                self.notify(Started(self._arm.name, load, visits, expected_s))
                 stream.take_over()
-                self._execute_plans()
+                reason = self._execute_plans(source)
         except BaseException as error:
             self._keep_interrupted(error)
             self._disk()
-            station.notify(Stopped(str(error) or type(error).__name__))
+            self.notify(Stopped(str(error) or type(error).__name__))
             raise
         finally:
-            station.options.desk.forget(self._disk)
-        station.store.flush()
+            desk.forget(self._disk)
+        self._store.flush()
         self._disk()
+        return reason
 
-    def _execute_plans(self) -> None:
+    def notify(self, event: Event) -> None:
+        """Send an event to all listeners and observers; an error of a listener requests a stop of the arm.
+
+        All others are still notified.
+        """
+        for listener in self._listeners:
+            guarded(listener, self._options.desk)(event)
+        self._options.observers.reported(event)
+
+    def _execute_plans(self, source: MotionSource) -> str:
         while True:
             for step in self._plan.steps:
                 if isinstance(step, Settle):
@@ -198,40 +238,40 @@ class _Run:
                 else:
                     self._move(step)
             try:
-                self._plan, self._further_s = self._source.send(self._stream)
-            except StopIteration:
-                break
+                self._plan, self._further_s, _ = source.send(self)
+            except StopIteration as ended:
+                self.notify(Progress(self._steps, self._steps, "done", self._elapsed_s + self._now_s, 0.0))
+                return ended.value
+            self.measured.clear()
             self._schedule()
-        elapsed_s = self._elapsed_s + self._now_s
-        self._station.notify(Progress(self._steps, self._steps, "done", elapsed_s, 0.0))
 
     def _schedule(self) -> None:
         """Set the expected times of the plan."""
-        override = self._station.options.override
+        override = self._options.override
         self._further_s /= override
-        self._ahead_s = deque(step_durations(self._plan, self._station.workspace, override))
+        self._ahead_s = deque(step_durations(self._plan, self._workspace, override))
         self._steps = len(self._ahead_s)
 
     def _next(self, phase: Phase) -> None:
         """Begin the next motion, rest or measurement."""
         self._elapsed_s += self._now_s
         self._now_s = self._ahead_s.popleft()
-        self._state.enter(phase, self._stream.sync_index)
+        self.stream.state.enter(phase, self.stream.sync_index)
 
     def _report(self, what: str, row: int, rows: int) -> None:
         """Report the progress of the run; called by the motion loop at intervals."""
         done_s = self._now_s * max(row, 0) / rows
         left_s = self._now_s - done_s + sum(self._ahead_s) + self._further_s
         step = self._steps - len(self._ahead_s)
-        self._station.notify(Progress(step, self._steps, what, self._elapsed_s + done_s, left_s))
+        self.notify(Progress(step, self._steps, what, self._elapsed_s + done_s, left_s))
 
     def _refuse_sunk(self) -> None:
         """Refuse an arm that dropped while its brakes opened: the checked plan no longer fits."""
-        sunk = np.abs(self._stream.q_rad[0] - np.array(self._plan.start_rad))
+        sunk = np.abs(self.stream.q_rad[0] - np.array(self._plan.start_rad))
         if not sunk.max() <= SINK_RAD:
             joint = int(np.argmax(np.nan_to_num(sunk, nan=np.inf))) + 1
             raise PlanRefused(
-                f"arm '{self._arm}', joint {joint} moved by {sunk[joint - 1]:.3f} rad while its brake opened; "
+                f"arm '{self._arm.name}', joint {joint} moved by {sunk[joint - 1]:.3f} rad while its brake opened; "
                 f"{ARM_RULES['sinks'].advice}"
             )
 
@@ -243,24 +283,24 @@ class _Run:
             what = f"approach pose {step.pose}"
         else:
             what = "move to the start" if self._is_driven else "move"
-        limits = motion_limits(step, self._station.workspace, self._plan.settings)
+        limits = motion_limits(step, self._workspace, self._plan.settings)
         if self._is_driven:
-            speed = self._station.options.override
+            speed = self._options.override
             limits = MotionLimits(
                 speed * limits.speed_rad_s, speed**2 * limits.acceleration_rad_s2, speed**3 * limits.jerk_rad_s3
             )
-        target, (at,) = np.array(step.q_rad), self._stream.q_rad
+        target, (at,) = np.array(step.q_rad), self.stream.q_rad
         self._direction = np.sign(target - at).astype(np.int8)
         self._gone_rad += float(np.abs(target - at).max())
-        self._stream.move([straight(at, target, limits, self._period_s)], what)
+        self.stream.move([straight(at, target, limits, self._period_s)], what)
 
     def _settle(self, step: Settle) -> None:
         self._next(Phase.SETTLING)
-        test = SettleTest(self._period_s, self._station.workspace.torque_nm)
+        test = SettleTest(self._period_s, self._workspace.torque_nm)
         restless: np.ndarray | None = None
         limit = int(np.ceil(step.timeout_s / self._period_s))
         for row in range(limit):
-            (sample,) = self._stream.hold(f"settle pose {step.pose}", row, limit)
+            (sample,) = self.stream.hold(f"settle pose {step.pose}", row, limit)
             if sample.complete:
                 test.add(sample.q_rad, sample.joint_torque_nm)
                 restless = test.restless()
@@ -278,23 +318,23 @@ class _Run:
     def _sample(self, step: Sample) -> None:
         self._next(Phase.SAMPLING)
         purpose = next(pose.purpose for pose in self._plan.poses if pose.number == step.pose)
-        (at,) = self._stream.q_rad
+        (at,) = self.stream.q_rad
         label = VisitLabel(self._load, step.pose, purpose, step.direction, self._direction, at)
         samples: list[ArmSample] = []
         repeated = 0
-        temperatures = self._station.temperatures
+        temperatures = self._temperatures
         if temperatures is not None:
             temperatures.begin()
         try:
             while len(samples) < step.count:
-                (sample,) = self._stream.hold(f"sample pose {step.pose}", len(samples), step.count)
+                (sample,) = self.stream.hold(f"sample pose {step.pose}", len(samples), step.count)
                 if temperatures is not None:
                     temperatures.poll()
                 if sample.complete:
                     samples.append(sample)
                     continue
                 repeated += 1
-                self._station.notify(SampleRepeated(sample.sync_index, sample.silent))
+                self.notify(SampleRepeated(sample.sync_index, sample.silent))
                 if repeated > max(REPEATED_LEAST, REPEATED_SHARE * step.count):
                     raise IncompleteEpochs(
                         f"pose {step.pose}: {repeated} SYNCs were not answered by all axes while {len(samples)}"
@@ -304,11 +344,13 @@ class _Run:
         except BaseException:
             self._broken = visit_from_samples(label, samples, False, repeated) if samples else None
             raise
-        visit = visit_from_samples(label, samples, True, repeated, self._station.temperatures_c())
+        visit = visit_from_samples(label, samples, True, repeated, self._temperatures_c())
         first, self._first_side = self._first_side, visit
         if first is not None and first.pose == visit.pose and first.approach == -visit.approach:
-            visit = with_half_sums(self._station.arm, first, visit)
-        self._settle_s[self._station.store.add(self._arm, visit).number] = self._settled_s
+            visit = with_half_sums(self._arm, first, visit)
+        stored = self._store.add(self._arm.name, visit)
+        self.measured.append(stored)
+        self._settle_s[stored.number] = self._settled_s
 
     def _drive(self, driven: Pass) -> None:
         """Drive the periods of a pass, and once more those that lack a SYNC.
@@ -317,12 +359,12 @@ class _Run:
         """
         if self._is_first and self._gone_rad <= FAR_RAD:
             self._is_first = False
-            share = FIRST_SHARE if self._stream.first_moved else 1.0  # the stream slows down what comes first
+            share = FIRST_SHARE if self.stream.first_moved else 1.0  # the stream slows down what comes first
             motion = slowed(driven.excitation, share * driven.speed, self._period_s)
             self._ahead_s.appendleft(motion.duration_s * share / FIRST_SHARE)
             self._steps += 1
             self._next(Phase.MOVING)
-            self._stream.move([motion], f"try '{driven.excitation.name}' at {FIRST_SHARE:.0%}")
+            self.stream.move([motion], f"try '{driven.excitation.name}' at {FIRST_SHARE:.0%}")
         incomplete = self._drive_periods(driven, driven.periods)
         if incomplete:
             self._ahead_s.extendleft([len(incomplete) * driven.motion.duration_s, REST_S])
@@ -333,7 +375,7 @@ class _Run:
     def _drive_periods(self, driven: Pass, periods: Sequence[int]) -> list[int]:
         """Drive periods without a stop; return those that lack a SYNC."""
         incomplete: list[int] = []
-        store, temperatures = self._station.store, self._station.temperatures
+        store, temperatures = self._store, self._temperatures
         count, axes = driven.motion.q_rad.shape
         what = f"drive '{driven.excitation.name}'" + (f" at {driven.speed:.0%}" if driven.speed != 1.0 else "")
         log: PeriodLog | None = None
@@ -352,31 +394,35 @@ class _Run:
             if log.incomplete_epochs:
                 incomplete.append(periods[place])
             if len(log):
-                store.add(self._arm, log.period(self._station.temperatures_c()))
+                store.add(self._arm.name, log.period(self._temperatures_c()))
             log = None
 
         self._next(Phase.SAMPLING)
-        self._stream.stand(REST_S, "rest before it moves")
+        self.stream.stand(REST_S, "rest before it moves")
         self._next(Phase.SAMPLING)
-        setpoints = PeriodicSetpoints(self._stream.q_rad[0], driven.motion, len(periods), driven.modelled_nm, taken)
+        setpoints = PeriodicSetpoints(self.stream.q_rad[0], driven.motion, len(periods), driven.modelled_nm, taken)
         try:
-            self._stream.drive(setpoints, what)
+            self.stream.drive(setpoints, what)
         except BaseException:
             self._broken = log.period() if log is not None and len(log) else None
             raise
         return incomplete
 
+    def _temperatures_c(self) -> np.ndarray | None:
+        """Motor temperatures (N,) [deg C] read since the sampling began."""
+        return None if self._temperatures is None else self._temperatures.read_c
+
     def _disk(self) -> StopRequest | None:
         """Report what is on disk; return a stop request if the disk fails or is too slow."""
-        for measured in self._station.store.written():
+        for measured in self._store.written():
             self._announce(measured)
-        trouble = self._station.store.trouble()
+        trouble = self._store.trouble()
         return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
 
     def _announce(self, visit: Visit | Period) -> None:
         """Report a period, or a complete visit and the pose if it is complete."""
         if isinstance(visit, Period):
-            self._station.notify(
+            self.notify(
                 PeriodDone(
                     number=visit.number,
                     name=visit.name,
@@ -391,7 +437,7 @@ class _Run:
         if not visit.complete:
             return
         torque = visit.joint_torque_nm
-        self._station.notify(
+        self.notify(
             VisitDone(
                 number=visit.number,
                 pose=visit.pose,
@@ -405,14 +451,14 @@ class _Run:
         )
         if visit.gravity_nm is not None and visit.friction_band_nm is not None:
             gravity, band = tuple(visit.gravity_nm.tolist()), tuple(visit.friction_band_nm.tolist())
-            self._station.notify(PoseDone(visit.pose, visit.load, gravity, band))
+            self.notify(PoseDone(visit.pose, visit.load, gravity, band))
 
     def _keep_interrupted(self, failure: BaseException) -> None:
         """After the stop, store an interrupted visit or period; an error of this becomes a note of the failure."""
         try:
             if self._broken is not None:
-                self._station.store.add(self._arm, self._broken)
-            self._station.store.flush()
+                self._store.add(self._arm.name, self._broken)
+            self._store.flush()
         except GatewayError as error:
             if error is not failure:
                 failure.add_note(str(error))

@@ -4,9 +4,7 @@ recordings.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,22 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from drives.exchange import Pacing
-from gateway.acquire.blackbox import BlackBoxWatch, black_box
+from gateway.acquire.blackbox import black_box
 from gateway.acquire.events import Event, Listener, PeriodDone, PoseDone, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
-from gateway.acquire.run_loop import run_plan
-from gateway.acquire.station import VisitStation
+from gateway.acquire.run_loop import MotionSource, Run, rest_visits
 from gateway.cell.config import LoadedCell
 from gateway.data.blackbox.part import BoxHeader
-from gateway.data.period import Measured, Period
 from gateway.data.recording.queue import VisitQueue
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
-from gateway.data.recording.writer import UNFINISHED, ArmHeader, RecordingHeader
+from gateway.data.recording.writer import ArmHeader, RecordingHeader
 from gateway.data.rest_pose import RestPose
-from gateway.data.visit import Visit
 from gateway.errors import GatewayError, InputError
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.motion.opening import BusOverride, OpenArm, open_arm
@@ -50,8 +44,8 @@ __all__ = [
 ]
 
 
-#: Polling interval while only the disk is awaited [s].
-PAUSE_S = 0.001
+#: Fields of a summary that the JSON of a recording at rest, and of one in motion, leaves out.
+MOVING_KEYS, REST_KEYS = ("reason", "periods", "missed"), ("reason", "visits", "friction_band_nm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +78,18 @@ class RecordingSummary:
     ----------
     path : Path
     load : str
+    reason : str
+        Reason of the end of the run.
     visits : int
         New visits, one per approach direction of a pose.
+    periods : int
+        New periods in which every SYNC was answered.
     skipped : int
-        Visits that the recording already held.
+        Visits or periods that the recording already held.
     incomplete_epochs : int
-        SYNCs that were repeated while sampling.
+        SYNCs that were not answered by all axes; what they belong to was repeated.
+    missed : tuple of (str, int)
+        Excitation and number of the periods that lack a SYNC after a repetition.
     friction_band_nm : tuple of floats, one per axis
         Median half-difference over the poses; NaN if no pose was measured in both directions.
     statistics : dict
@@ -98,9 +98,12 @@ class RecordingSummary:
 
     path: Path
     load: str
+    reason: str
     visits: int
+    periods: int
     skipped: int
     incomplete_epochs: int
+    missed: tuple[tuple[str, int], ...]
     friction_band_nm: tuple[float, ...]
     statistics: dict[str, Any]
 
@@ -139,72 +142,49 @@ def record(
     InputError
         The file exists and `resume` is not set, or it belongs to another cell or other poses.
     PlanRefused, DriveError, KeyboardInterrupt
-        As `run_plan`.
+        As `record_motions`.
     """
     earlier = read(request.path) if request.resume and request.path.exists() else None
     stored = None if earlier is None else earlier.arm(plan.arm)
     wanted = {(pose.number, side) for pose in plan.poses for side in (-1, 1)}
     done = () if stored is None or request.again else tuple(wanted.intersection(stored.done(request.load)))
-    with keeping(opened, request.path, earlier, plan.poses) as kept:
-        if len(done) < len(wanted):
-            run_plan(kept.station(listeners, options), plan, request.load, done)
-    return kept.summary(request.load, len(done))
+    motions = rest_visits(plan, opened.arm, opened.workspace, done)
+    return record_motions(
+        opened,
+        motions,
+        request.load,
+        request.path,
+        earlier,
+        poses=plan.poses,
+        skipped=len(done),
+        listeners=listeners,
+        options=options,
+    )
 
 
-class Kept:
-    """Recording that is being written, and what the run adds to it.
-
-    Attributes
-    ----------
-    reason : str
-        Reason of the end of a run without error.
-    statistics : dict
-        Bus statistics, once the run has ended without error.
-    tally : Tally
-    """
-
-    def __init__(self, opened: OpenArm, queue: VisitQueue, watch: BlackBoxWatch) -> None:
-        self.reason = "all poses measured"
-        self._opened, self._queue, self._watch = opened, queue, watch
-        self.tally = Tally(len(opened.config.axis))
-        self.statistics: dict[str, Any] = {}
-
-    def station(self, listeners: Sequence[Listener], options: MoveOptions | None) -> VisitStation:
-        """Return the station of a run: the arm and the store for its visits."""
-        opened, pacing = self._opened, self._opened.group.timing.pacing
-        store = QueuedStore(self._queue, opened.config.name, pacing)
-        listening = (self.tally, *listeners)
-        options = options or MoveOptions()
-        options.observers.add(self._watch)
-        temperatures = motor_temperatures(opened)
-        return VisitStation(opened.arm, opened.workspace, store, listening, options, pacing, temperatures)
-
-    def summary(self, load: str, skipped: int) -> RecordingSummary:
-        """Return the summary of what the run has added."""
-        return RecordingSummary(
-            path=self._queue.path,
-            load=load,
-            visits=self.tally.visits,
-            skipped=skipped,
-            incomplete_epochs=self.tally.incomplete_epochs,
-            friction_band_nm=self.tally.band_nm(),
-            statistics=self.statistics,
-        )
-
-
-@contextmanager
-def keeping(
+def record_motions(
     opened: OpenArm,
+    source: MotionSource,
+    load: str,
     path: Path,
     earlier: Recording | None,
+    *,
     poses: Sequence[RestPose] = (),
     excitations: dict[int, dict[str, Any]] | None = None,
-) -> Generator[Kept]:
-    """Open a recording for writing; on exit, also after an error, the measured data and the reason are on disk.
+    skipped: int = 0,
+    listeners: Sequence[Listener] = (),
+    options: MoveOptions | None = None,
+) -> RecordingSummary:
+    """Execute the plans of a source and record what they measure; the brakes are on before and after.
+
+    Also after an error, the measured data and the reason of the end are on disk. If the operator requests a stop
+    through the desk of `options`, the arm stops. A source without motions adds nothing, and nothing moves.
 
     Parameters
     ----------
     opened : OpenArm
+    source : MotionSource
+    load : str
     path : Path
     earlier : Recording or None
         Recording that is continued; its poses stay in the header.
@@ -212,19 +192,25 @@ def keeping(
         Expected poses.
     excitations : dict, optional
         Expected excitations, keyed by fingerprint.
+    skipped : int
+        Visits or periods that the recording already holds, for the summary.
+    listeners : sequence of Listener
+    options : MoveOptions, optional
 
     Raises
     ------
     InputError
         The recording uses the number of a pose for another posture; or as `VisitQueue`.
+    PlanRefused, LimitExceeded, DriveError, InputError, KeyboardInterrupt
+        As `Run.execute`.
     """
-    config, statistics = opened.config, opened.group.statistics
+    config, pacing, options = opened.config, opened.group.timing.pacing, options or MoveOptions()
     header = ArmHeader(
         name=config.name,
         poses=_all_poses(config.name, poses, earlier),
         constants=opened.constants,
         identities=[plain(asdict(identity)) for identity in opened.identities],
-        ledger=[plain(asdict(entry)) for entry in opened.group.noted],
+        ledger=[plain(asdict(entry)) for entry in opened.group.nodes.noted],
         excitations=excitations or {},
     )
     about = RecordingHeader(
@@ -235,25 +221,39 @@ def keeping(
         software=software(),
         calibration=opened.loaded.calibration,
     )
-    queue = VisitQueue(path, about, header, earlier)
+    queue = VisitQueue(opened.disk, path, about, header, earlier, pacing == "lockstep")
     box = BoxHeader(path, ((config.name, len(config.axis)),), about.cell, about.created, about.software)
+    tally, temperatures = Tally(len(config.axis)), motor_temperatures(opened)
+    run = Run(opened.arm, opened.workspace, queue, (tally, *listeners), options, pacing, temperatures)
     try:
         with black_box(opened, box) as watch:
-            kept = Kept(opened, queue, watch)
-            yield kept
-            kept.statistics = plain(asdict(statistics))
-            queue.finish(config.name, "success", kept.reason, kept.statistics)
+            options.observers.add(watch)
+            reason = run.execute(source, load)
+            statistics = plain(asdict(opened.group.statistics))
+            queue.finish("success", reason, statistics)
     except BaseException as error:
         if queue.visits:
             status = "abort" if isinstance(error, KeyboardInterrupt) else "fail"
-            reason = str(error) or "stopped by the operator"
+            stopped = str(error) or "stopped by the operator"
             try:
-                queue.finish(config.name, status, reason, plain(asdict(statistics)))
+                queue.finish(status, stopped, plain(asdict(opened.group.statistics)))
             except GatewayError as failed:
                 error.add_note(str(failed))
         raise
     finally:
         queue.close()
+    return RecordingSummary(
+        path=path,
+        load=load,
+        reason=reason,
+        visits=tally.visits,
+        periods=tally.periods,
+        skipped=skipped,
+        incomplete_epochs=tally.incomplete_epochs,
+        missed=run.missed,
+        friction_band_nm=tally.band_nm(),
+        statistics=statistics,
+    )
 
 
 def _all_poses(arm: str, new: Sequence[RestPose], earlier: Recording | None) -> tuple[RestPose, ...]:
@@ -274,41 +274,6 @@ def _all_poses(arm: str, new: Sequence[RestPose], earlier: Recording | None) -> 
                 " with the poses of the file, or give new poses new numbers"
             )
     return tuple(poses[number] for number in sorted(poses))
-
-
-class QueuedStore:
-    """Store that writes to a recording through a queue; in lockstep it waits for the disk."""
-
-    def __init__(self, queue: VisitQueue, arm: str, pacing: Pacing) -> None:
-        self._queue, self._arm, self._patient = queue, arm, pacing == "lockstep"
-        self._seen: list[Visit | Period] = []
-
-    def add(self, arm: str, visit: Measured) -> Measured:
-        """Add a visit or period."""
-        stored = self._queue.add(arm, visit)
-        while self._patient and self._queue.waiting and self._queue.failed is None:
-            time.sleep(PAUSE_S)
-            self._seen += self._queue.written()
-        return stored
-
-    def written(self) -> Sequence[Visit | Period]:
-        """Return the visits and periods that are on disk."""
-        seen, self._seen = self._seen, []
-        return (*seen, *self._queue.written())
-
-    def trouble(self) -> GatewayError | None:
-        """Return the reason if the disk cannot be written or is too slow."""
-        if self._queue.failed is None and self._queue.full:
-            return InputError(
-                f"{self._queue.path}: {self._queue.waiting} visits wait for the disk, which is too slow; no visit is"
-                " lost; free the disk or record to another disk, then continue with --resume"
-            )
-        return self._queue.failed
-
-    def flush(self) -> None:
-        """Block until everything is on disk."""
-        if self._queue.visits:
-            self._queue.finish(self._arm, "abort", UNFINISHED, {})
 
 
 class Tally:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from types import TracebackType
 
-from drives.bringup import read_identity
 from drives.bus import BusSpec, open_bus
+from drives.discovery import read_identity
 from drives.objects import OBJECTS
 from drives.sdo import SdoClient
 from drives.values import Identity

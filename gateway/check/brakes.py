@@ -19,7 +19,7 @@ import numpy as np
 
 from drives.errors import DriveError
 from drives.proof import BrakeTest
-from gateway.check.stop import motion_station
+from gateway.check.stop import planned_stream
 from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.motion.opening import OpenArm
@@ -101,7 +101,7 @@ def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _
     items: list[Finding] = []
     found: list[Finding] = []
     try:
-        with powered(Stream(motion_station(opened, options))) as stream:
+        with powered(planned_stream(opened, options)) as stream:
             stream.take_over()
             for axis in range(len(opened.config.axis)):
                 items.append(_try_brake(_Trial(opened, stream, axis, ask), found))
@@ -167,7 +167,7 @@ def _watched(trial: _Trial, found: list[Finding]) -> Finding:
         test, stopped = _released(trial, seconds, number == len(WATCH_S) - 1)
         moved_rad = test.moved_rad * trial.joint_per_motor
         fell_rad = test.farthest_rad * trial.joint_per_motor
-        how = f"within {test.released_syncs * trial.stream.station.period_s:.2f} s, and is held by its drive again"
+        how = f"within {test.released_syncs * trial.stream.period_s:.2f} s, and is held by its drive again"
         if test.beyond_limit or moved_rad > BRAKE_DROP_RAD:
             found.append(_failed(trial.where, fell_rad, how))
         elif moved_rad > STEP_RAD and number < len(WATCH_S) - 1:
@@ -195,7 +195,7 @@ def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[Br
 
     The second value is the cause of a stop request that has not been raised because the axis was moving.
     """
-    stream, group, period_s = trial.stream, trial.opened.group, trial.stream.station.period_s
+    stream, group, period_s = trial.stream, trial.opened.group, trial.stream.period_s
     for _ in range(math.ceil(REST_S / period_s)):
         if group.is_at_rest:
             break
@@ -235,8 +235,8 @@ def _hold_until_supported(trial: _Trial, item: Finding, stopping: bool) -> None:
         f"{item.where} {item.what}. The arm is held under power. Support it, or lower it to a position where it"
         " cannot fall. Its axes are then disabled."
     )
-    rows = math.ceil(SUPPORT_S / trial.stream.station.period_s)
-    urgent, desk = trial.stream.urgent, trial.stream.station.options.desk
+    rows = math.ceil(SUPPORT_S / trial.stream.period_s)
+    urgent, desk = trial.stream.urgent, trial.stream.options.desk
     row = 0
     while (row < rows if done is None else not done()) and not (stopping and urgent and row >= rows):
         wish = desk.look()

@@ -12,13 +12,13 @@ from typing import Final
 
 import numpy as np
 
-from drives.busload import cycle_bits_worst, load_percent
+from drives.busload import LOAD_LIMIT_PERCENT, frame_bits_worst, load_percent
 from drives.torque_signals import TorqueSignalReader, TorqueSignals
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.run_loop import run_plan
+from gateway.acquire.run_loop import Run, rest_visits
 from gateway.acquire.start_posture import refuse_start
-from gateway.acquire.station import MemoryStore, VisitStation
+from gateway.acquire.visit_store import MemoryStore
 from gateway.check.torque import Scales, judge_torque
 from gateway.check.wiring import Moves, WiredArm, Wiring
 from gateway.check.wiring_judge import Verdict, WiringView, judge_wiring
@@ -30,7 +30,6 @@ from gateway.motion.assumed import reference_load
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace
-from gateway.preflight.drive_check import LOAD_LIMIT_PERCENT
 from gateway.preflight.rules import Axis
 from gateway.result.interval import SAID
 from gateway.result.numerals import with_interval
@@ -145,11 +144,8 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
     visits = MemoryStore()
     with TorqueSignalReader(group.bus, group.drives if _bus_has_capacity(opened) else ()) as reader:
         try:
-            pacing = group.timing.pacing
-            station = VisitStation(
-                opened.arm, opened.workspace, visits, tuple(listeners), options or MoveOptions(), pacing
-            )
-            run_plan(station, plan, LOAD)
+            run = Run(opened.arm, opened.workspace, visits, listeners, options, group.timing.pacing)
+            run.execute(rest_visits(plan, opened.arm, opened.workspace), LOAD)
         except LimitExceeded as error:
             if not group.gate().is_disabled:
                 raise
@@ -174,8 +170,8 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
 def _bus_has_capacity(opened: OpenArm) -> bool:
     """Return True if, in real time, a third TPDO of every drive fits the bus."""
     timing, spec = opened.group.timing, opened.group.bus.spec
-    sizes = [0, *(8 for _ in opened.group.drives), *(p.size_bytes for d in opened.group.drives for p in d.plans)]
-    load = load_percent(cycle_bits_worst(sizes), timing.period_s, spec.bitrate_bit_s)
+    bits = opened.group.nodes.cycle_bits + len(opened.group.drives) * frame_bits_worst(8)
+    load = load_percent(bits, timing.period_s, spec.bitrate_bit_s)
     return timing.pacing == "lockstep" or load <= LOAD_LIMIT_PERCENT
 
 

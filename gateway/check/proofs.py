@@ -8,13 +8,12 @@ which it was made.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from drives.files import replace_file
+from drives.files import read_sealed, write_sealed
 from drives.ledger import KnownDevice, without_shared_serials
 from drives.profile import DriveProfile
 from drives.values import Identity
@@ -104,7 +103,7 @@ def note_motion(path: Path, opened: OpenArm) -> None:
     """
     stored = _stored(path, opened)
     if stored is not None and stored.get("moved") is not True:
-        _write(path, stored | {"moved": True})
+        write_sealed(path, stored | {"moved": True})
 
 
 def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
@@ -116,8 +115,8 @@ def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
     if stored is not None and stored["override"] > proof.override:
         return
     date = datetime.now(UTC).isoformat(timespec="seconds")
-    moved = not first_motion_pending(path, opened)
-    _write(
+    moved = stored is not None and stored.get("moved") is True
+    write_sealed(
         path,
         {
             "schema": SCHEMA,
@@ -133,16 +132,10 @@ def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
 def _stored(path: Path, opened: OpenArm) -> dict[str, Any] | None:
     """Return the stored proof, if it is valid for these drives."""
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored = read_sealed(path)
     except (OSError, ValueError):
         return None
-    if not isinstance(stored, dict) or stored.get("schema") != SCHEMA or stored.get("drives") != fingerprint(opened):
-        return None
-    return stored
-
-
-def _write(path: Path, body: Mapping[str, Any]) -> None:
-    replace_file(path, json.dumps(body, indent=1) + "\n")
+    return stored if (stored["schema"], stored["drives"]) == (SCHEMA, fingerprint(opened)) else None
 
 
 def prove_now(opened: OpenArm, path: Path, say: Callable[[str], None], options: MoveOptions) -> None:

@@ -24,8 +24,7 @@ from gateway.motion.arms import Arms
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import powered
 from gateway.motion.setpoints import MotionSetpoints
-from gateway.motion.state import StateTracker
-from gateway.motion.stream import MoveOptions, Station, Stream
+from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import Motion, straight
 from gateway.motion.workspace import Workspace
 from gateway.result.result import Finding
@@ -252,7 +251,7 @@ def _stopped_slowly(
         opened.group.timing.period_s,
         options.override,
     )
-    with powered(Stream(motion_station(opened, options))) as stream:
+    with powered(planned_stream(opened, options)) as stream:
         stream.take_over()
         slow = _SlowMotion(opened, stream, motion, begin, goes_on)
         stream.drive(slow, "move slowly")
@@ -276,7 +275,7 @@ def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> 
     begin, workspace = opened.arm.where(), opened.workspace
     if not workspace.path_clear(begin[None], target_rad[None])[0]:
         raise PlanRefused(f"arm '{opened.arm.name}' does not move back: no straight path back is inside the limits")
-    with powered(Stream(motion_station(opened, options))) as stream:
+    with powered(planned_stream(opened, options)) as stream:
         stream.take_over()
         limits = approach_limits(workspace, options.override * SPEED_RAD_S)
         stream.move([straight(stream.q_rad[0], target_rad, limits, opened.group.timing.period_s)], "go back")
@@ -301,33 +300,27 @@ def _quick_stop_items(opened: OpenArm, traces: tuple[StopTrace, ...]) -> list[Fi
     return items
 
 
-def motion_station(opened: OpenArm, options: MoveOptions) -> Station:
-    """Return the station for a motion that is planned at the speed override: nothing slows it further."""
-    arm, timing = opened.arm, opened.group.timing
-    return Station(
-        arms=Arms((arm,), timing.pacing),
-        workspaces=(opened.workspace,),
-        period_s=timing.period_s,
-        state=StateTracker(arm.name, lambda _state: None),
-        options=replace(options, override=1.0, first_done=None),
-    )
+def planned_stream(opened: OpenArm, options: MoveOptions) -> Stream:
+    """Return the stream of a motion that is planned at the speed override: nothing slows it further."""
+    timing, planned = opened.group.timing, replace(options, override=1.0, first_done=None)
+    return Stream(Arms((opened.arm,), timing.pacing), (opened.workspace,), timing.period_s, planned)
 
 
 def _reset_provoked(opened: OpenArm, traces: tuple[StopTrace, ...]) -> dict[int, str]:
     """Reset the faults that the withheld heartbeat explains; return the remaining faults by node."""
     left: dict[int, str] = {}
-    for access, trace in zip(opened.group.access, traces, strict=True):
+    for drive, trace in zip(opened.group.drives, traces, strict=True):
         try:
-            if decode_state(access.read(OBJECTS["statusword"])) is not State.FAULT:
+            if decode_state(drive.statusword()) is not State.FAULT:
                 continue
-            code = access.read(OBJECTS["error_code"])
+            code = drive.access.read(OBJECTS["error_code"])
             early = trace.left_s is not None and trace.left_s < EARLY * trace.stated_s
             if code >> 8 != COMMUNICATION_CLASS or early:
-                left[access.node_id] = f"stays in FAULT, error code 0x{code:04X}, which no lost heartbeat explains"
+                left[drive.node_id] = f"stays in FAULT, error code 0x{code:04X}, which no lost heartbeat explains"
                 continue
-            opened.group.reset_fault(access.node_id)
+            drive.reset_fault()
         except DriveError as error:
-            left[access.node_id] = str(error)
+            left[drive.node_id] = str(error)
     return left
 
 

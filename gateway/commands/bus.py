@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import click
 from gateway.commands.console import findings_table, grid
 from gateway.commands.motion_options import AT_HAND, MoveChoice, move_options, stoppable, support_asked
 from gateway.commands.shared_options import (
+    agreed,
     bus_option,
     cell_argument,
     common,
@@ -24,8 +25,8 @@ from gateway.commands.shared_options import (
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
+    from drives.discovery import ScanResult
     from drives.ledger import LedgerEntry
-    from drives.probe import ScanResult
     from gateway.cell.config import ArmConfig
     from gateway.jobs.cell_context import CellContext
     from gateway.motion.opening import OpenArm
@@ -48,8 +49,8 @@ _LISTED = 6
 def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
     """List the nodes on the bus: identity, firmware, NMT state, matching profile. Nothing is written, nothing moves."""
     from drives.bus import BusSpec, open_bus
+    from drives.discovery import scan as scan_bus
     from drives.errors import BusError
-    from drives.probe import scan as scan_bus
 
     spec = BusSpec.parse(bus_spec)
     reserve(spec)
@@ -130,8 +131,10 @@ def check(
 ) -> None:
     """Check every drive against profile and cell file before motion.
 
-    Nothing is written and nothing moves unless --move, --prove-stop or --brakes is given; then it asks.
+    Nothing is written and nothing moves unless --move, --prove-stop or --brakes is given; then it asks. With -v also
+    the steps of bring-up before each motion, in their order.
     """
+    from drives.bringup import steps
     from gateway.jobs.cell_context import open_cell
     from gateway.preflight.drive_check import require_passed
 
@@ -142,18 +145,23 @@ def check(
     for arm in context.arms:
         items[arm.name] = _checked(context, arm)
     failed = any(line.severity == "fail" for lines in items.values() for line in lines)
-    wanted = _Wanted(move, prove_stop, brakes)
-    if wanted.any and not failed:
-        for arm in context.arms:
-            found, seen = _in_motion(context, arm, wanted, moving)
-            items[arm.name] += found
-            proofs += seen
-    elif wanted.any:
-        session.note("nothing has moved: correct the failed items first")
-    for name, lines in items.items():
-        shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]
-        title = f"arm {name}: {_count(lines)}"
-        session.show(findings_table(shown, title) if shown else title)
+    moves = move or prove_stop or brakes
+    try:
+        if moves and not failed:
+            for arm in context.arms:
+                found, seen = _in_motion(context, arm, moving, move=move, prove_stop=prove_stop, brakes=brakes)
+                items[arm.name] += found
+                proofs += seen
+        elif moves:
+            session.note("nothing has moved: correct the failed items first")
+    finally:  # a motion that fails or is declined leaves what was found before
+        for name, lines in items.items():
+            shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]
+            title = f"arm {name}: {_count(lines)}"
+            session.show(findings_table(shown, title) if shown else title)
+    if session.verbosity > 0:
+        order = (f"{number:4d}. {step}" for number, step in enumerate(steps(), start=1))
+        session.show("\n".join(["bring-up before each motion, in this order:", *order]))
     if json_out:
         from gateway.result.values import plain_values
 
@@ -163,22 +171,8 @@ def check(
     require_passed([line for lines in items.values() for line in lines], "check failed")
 
 
-@dataclass(frozen=True, slots=True)
-class _Wanted:
-    """Checks with motion that the command line requests."""
-
-    move: bool
-    prove_stop: bool
-    brakes: bool
-
-    @property
-    def any(self) -> bool:
-        """Return whether at least one is requested."""
-        return self.move or self.prove_stop or self.brakes
-
-
 def _in_motion(
-    context: CellContext, arm: ArmConfig, wanted: _Wanted, moving: MoveChoice
+    context: CellContext, arm: ArmConfig, moving: MoveChoice, *, move: bool, prove_stop: bool, brakes: bool
 ) -> tuple[list[Finding], list[dict[str, Any]]]:
     """Run the checks with motion; the stop is proven first."""
     from gateway.check.brakes import try_brakes
@@ -194,11 +188,11 @@ def _in_motion(
         context.opened(arm) as opened,
         context.last_seconds(options, opened),
     ):
-        proves = wanted.prove_stop or proven_on(path, opened, options.override) is None
+        proves = prove_stop or proven_on(path, opened, options.override) is None
         what = "will move a little on every joint"
         if proves:
             what += ", and the master's heartbeat is stopped on purpose (the resulting drive faults are reset)"
-        if wanted.brakes:
+        if brakes:
             what += ", and each axis in turn is held by its brake alone (its drive takes over if the brake slips)"
         say = session_of().note
         options = begin_motion(context, (opened,), options, moving.ask, say, what=what, also=AT_HAND, proof="own")
@@ -209,9 +203,9 @@ def _in_motion(
             seen.append(proof.as_json())
             if not proof.passed:
                 return items, seen
-        if wanted.brakes:
+        if brakes:
             items += try_brakes(opened, options, support_asked(moving))
-        if wanted.move and not any(item.severity == "fail" for item in items):  # a brake that does not hold: no power
+        if move and not any(item.severity == "fail" for item in items):  # a brake that does not hold: no power
             items += _small_moves(opened, options)
     return items, seen
 
@@ -264,18 +258,26 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
     arms: list[dict[str, Any]] = []
     failures: list[DriveError] = []
     for arm in context.arms:
-        with context.connected_for_restore(arm) as (group, absent):
-            before = group.noted
-            wrong = list(absent)
-            if group.access or group.instruments:
+        with context.connected_for_restore(arm) as nodes:
+            for node in nodes.all:
+                elsewhere = nodes.ledger.of_other_bus(node.access.device)
+                where = " and ".join(sorted({str(entry.bus) for entry in elsewhere}))
+                if elsewhere and agreed(
+                    f"Node {node.node_id} has no serial number, and the write ledger holds {len(elsewhere)} objects of"
+                    f" a drive like it that were written over {where}. Is this the same drive?"
+                ):
+                    node.access.take_over(elsewhere)
+            before = nodes.noted
+            wrong = list(nodes.failures_found)
+            if nodes.all:
                 try:
-                    group.restore()
+                    nodes.restore()
                 except DriveError as error:
                     wrong.append(error)
-            for line in group.taken_down:
+            for line in nodes.taken_down:
                 session_of().show(f"arm {arm.name}: {line}")
-            superseded = [entry for node in (*group.drives, *group.instruments) for entry in node.access.superseded]
-            left = group.noted
+            superseded = [entry for node in nodes.all for entry in node.access.superseded]
+            left = nodes.noted
             back = [entry for entry in before if entry not in left and entry not in superseded]
             _say_restored(arm.name, back, superseded, left)
             if left and forget:
@@ -284,12 +286,12 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
                     confirm(
                         f"{question} Remove them from the ledger?", "declined: the entries stay in the write ledger"
                     )
-                group.ledger.forget(*left)
+                nodes.ledger.forget(*left)
                 left, wrong = (), []
             failures += wrong
         listed = {"put_back": back, "written_by_others": superseded, "left": left}
         texts = {key: [str(entry) for entry in each] for key, each in listed.items()}
-        arms.append({"arm": arm.name} | texts | {"disabled": list(group.taken_down)})
+        arms.append({"arm": arm.name} | texts | {"disabled": list(nodes.taken_down)})
     if json_out:
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "arms": arms})
     raise_failures(failures)

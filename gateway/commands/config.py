@@ -16,11 +16,11 @@ from drives.objects import object_name
 from gateway.commands.console import grid
 from gateway.commands.shared_options import (
     Function,
+    agreed,
     bus_option,
     cell_argument,
     common,
     confirm,
-    drop_typed_ahead,
     json_option,
     output_option,
     refuse_to_replace,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from drives.configuration.difference import Compared
     from drives.configuration.object_reading import Readout
     from drives.drive import Cia402Drive
-    from drives.group import DriveGroup
+    from drives.nodes import Nodes
     from drives.pdo import Step
     from gateway.cell.config import ArmConfig
     from gateway.jobs.cell_context import CellContext
@@ -90,9 +90,9 @@ def config_dump(
         read = {node_id: sheets_read[source] for node_id, source in sources.items()}
         for source, sheet in sheets_read.items():
             show_remarks(str(source), sheet.remarks)
-        with context.connected(arm) as group:
-            found = [(drive, read_drive(drive.access, read[drive.node_id])) for drive in group.drives]
-            _say_what_is_ours(group)
+        with context.connected(arm) as connected:
+            found = [(drive, read_drive(drive.access, read[drive.node_id])) for drive in connected.drives]
+            _say_what_is_ours(connected)
         for joint, (drive, readout) in enumerate(found, start=1):
             node_id = drive.node_id
             beyond = beyond_limits(read[node_id], _stored(readout), node_id)
@@ -179,9 +179,9 @@ def _stored(readout: Readout) -> dict[tuple[int, int], Any]:
     return readout.of_kind("configuration", "fixed")
 
 
-def _say_what_is_ours(group: DriveGroup) -> None:
+def _say_what_is_ours(nodes: Nodes) -> None:
     """Report objects that the gateway has changed."""
-    ours = len(group.noted)
+    ours = len(nodes.noted)
     if ours:
         session_of().show(
             f"{ours} objects hold values written by the gateway (write ledger); `restore` resets them to the "
@@ -292,18 +292,18 @@ def _files(context: CellContext, arm: ArmConfig, folder: Path | None) -> dict[in
     return files
 
 
-def _compared(arm: ArmConfig, group: DriveGroup, files: dict[int, NodeConfiguration]) -> list[ComparedNode]:
-    from drives.bringup import read_identity
+def _compared(arm: ArmConfig, connected: Nodes, files: dict[int, NodeConfiguration]) -> list[ComparedNode]:
     from drives.configuration.difference import compare
     from drives.configuration.kinds import mapped_objects
     from drives.configuration.object_reading import read_drive
+    from drives.discovery import read_identity
 
     nodes = []
     said = {
         drive.node_id: files[drive.node_id].require_same_product(read_identity(drive.access.sdo))
-        for drive in group.drives
+        for drive in connected.drives
     }
-    for drive in group.drives:
+    for drive in connected.drives:
         file = files[drive.node_id]
         found = read_drive(drive.access, file.sheet, mapped_objects(file.values))
         rows = compare(file, found)
@@ -352,8 +352,8 @@ def config_diff(
     files = {arm.name: _files(context, arm, folder) for arm in context.arms}
     nodes: list[ComparedNode] = []
     for arm in context.arms:
-        with context.connected(arm) as group:
-            nodes += _compared(arm, group, files[arm.name])
+        with context.connected(arm) as connected:
+            nodes += _compared(arm, connected, files[arm.name])
     _show(nodes)
     name = context.loaded.cell.name
     if junit_file is not None:
@@ -424,12 +424,12 @@ def config_apply(
     files = {arm.name: _files(context, arm, folder) for arm in context.arms}
     done: list[dict[str, Any]] = []
     for arm in context.arms:
-        with context.connected(arm) as group:
-            accesses = [drive.access for drive in group.drives]
+        with context.connected(arm) as connected:
+            accesses = [drive.access for drive in connected.drives]
             require_at_rest(accesses)
             if store:
                 _refuse_values_of_runs(context, accesses)
-            nodes = _compared(arm, group, files[arm.name])
+            nodes = _compared(arm, connected, files[arm.name])
             _show(nodes)
             ids = [axis.node_id for each in context.arms if each.bus == arm.bus for axis in each.axis]
             left_out = {node.drive.node_id: _left_out(node, ids, also, ask=not yes) for node in nodes}
@@ -492,8 +492,7 @@ def _left_out(node: ComparedNode, ids: Collection[int], also: Sequence[str], *, 
         where = f"node {node.drive.node_id}:{row.name}: {row.text(row.drive)} becomes {row.text(row.file)}"
         if row.address in allowed:
             continue
-        drop_typed_ahead()
-        if ask and sys.stdin.isatty() and click.confirm(f"{where}: {why}. Write it anyway?", err=True):
+        if ask and sys.stdin.isatty() and agreed(f"{where}: {why}. Write it anyway?"):
             continue
         left_out.add(row.address)
         session.show(f"not written: {where}: {why} (allow it with --also {_named(row.address)})")

@@ -40,8 +40,7 @@ if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
     from gateway.acquire.session import RecordRequest
     from gateway.acquire.until.goal import Goal
-    from gateway.acquire.until.run import UntilSummary
-    from gateway.acquire.until.search import LoadSearch
+    from gateway.acquire.until.search import LoadSearch, NextStep
     from gateway.cell.config import LoadedCell
     from gateway.data.recording.recorded import Recording
     from gateway.jobs.commission import Job
@@ -288,9 +287,9 @@ class Terminal:
 
     def measure_until(
         self, opened: OpenArm, search: LoadSearch, earlier: Recording | None, path: Path, options: MoveOptions
-    ) -> UntilSummary:
-        """Record pose by pose with a progress bar; return how it ended."""
-        return PoseByPose(search, path, earlier).run(self.session, opened, options)
+    ) -> NextStep:
+        """Record pose by pose with a progress bar; return the last decision."""
+        return PoseByPose(search, path, earlier).run(self.session, opened, options)[1]
 
     def say(self, text: str) -> None:
         """Print a note."""

@@ -33,13 +33,9 @@ from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
-    from gateway.acquire.session import RecordingSummary, RecordRequest
     from gateway.acquire.until.prepare import UntilRequest
     from gateway.cell.config import ArmConfig, LoadedCell
-    from gateway.commands.console import Session
     from gateway.excite.expected import Purpose
-    from gateway.motion.opening import OpenArm
-    from gateway.motion.stream import MoveOptions
 
 arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm to use, if the cell has several.")
 
@@ -226,8 +222,9 @@ def record(
 
     The first time with these drives, the command first proves that they stop on loss of the master.
     """
-    from gateway.acquire.session import RecordRequest
-    from gateway.acquire.until.run import UntilSummary
+    from gateway.acquire.plan import Plan
+    from gateway.acquire.session import MOVING_KEYS, RecordRequest
+    from gateway.commands.progress import recording_with_progress
     from gateway.commands.record_moving import MovingWish, record_in_motion, refuse_mixed
     from gateway.jobs.cell_context import open_cell
     from gateway.jobs.frame import begin_motion, flange_question
@@ -246,41 +243,28 @@ def record(
         record_in_motion(context, arm, MovingWish(label, output, resume, moving_plan, rate_hz, trace, json_out), moving)
         return
     wanted = _Wanted(output, resume or bool(poses[1]), *poses, result)
-    asked: _Planned | PoseByPose = (
-        _Planned(_plan_for(context.loaded, arm, wanted), RecordRequest(label, output, wanted.resume, bool(poses[1])))
+    source: Plan | PoseByPose = (
+        _plan_for(context.loaded, arm, wanted)
         if until.goal is None
         else _search_for(context.loaded, arm, wanted, until.request(label, output, cell))
     )
     session = session_of()
     note_remarks(arm_robot(context.loaded, arm))
     if not moving.yes:
-        asked.show(session)
+        show_plan(source) if isinstance(source, Plan) else source.show(session)
     with stoppable(moving) as options, context.opened(arm, trace=trace) as opened:
         options = begin_motion(context, (opened,), options, moving.ask, session.note, also=flange_question(label))
-        done = asked.run(session, opened, options)
-    summary, more = (done.recording, {"until": as_json(done)}) if isinstance(done, UntilSummary) else (done, {})
+        if isinstance(source, Plan):
+            request = RecordRequest(label, output, wanted.resume, bool(poses[1]))
+            summary, decision = recording_with_progress(session, opened, source, request, options), None
+        else:
+            summary, decision = source.run(session, opened, options)
+    more = {} if decision is None else {"until": as_json(summary.reason, decision)}
     if json_out:
-        write_json(json_out, {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more})
+        body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more}
+        write_json(json_out, {key: body[key] for key in body if key not in MOVING_KEYS})
     session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} already recorded")
     session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
-
-
-@dataclass(frozen=True, slots=True)
-class _Planned:
-    """A recording of planned poses."""
-
-    plan: Plan
-    request: RecordRequest
-
-    def show(self, _session: Session) -> None:
-        """Show poses and expected uncertainty."""
-        show_plan(self.plan)
-
-    def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> RecordingSummary:
-        """Measure with a progress bar."""
-        from gateway.commands.progress import recording_with_progress
-
-        return recording_with_progress(session, opened, self.plan, self.request, options)
 
 
 @dataclass(frozen=True, slots=True)

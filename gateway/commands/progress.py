@@ -13,11 +13,9 @@ from gateway.acquire.events import (
     StateChanged,
     VisitDone,
 )
-from gateway.acquire.moving import MovingSummary, record_moving
 from gateway.acquire.plan import Plan
 from gateway.acquire.session import RecordingSummary, RecordRequest, record
 from gateway.commands.console import Bar, Session
-from gateway.excite.excitation import MovingPlan
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 
@@ -87,18 +85,3 @@ def recording_with_progress(
     """
     with session.progress(plan.duration_s / options.override, f"load {request.load}") as bar:
         return record(opened, plan, request, (ProgressListener(session, bar),), options)
-
-
-def moving_with_progress(
-    session: Session, opened: OpenArm, plan: MovingPlan, request: RecordRequest, how: tuple[MoveOptions, float]
-) -> MovingSummary:
-    """Run a trajectory plan under one load and show the progress; `how` is the options and the duration [s].
-
-    Raises
-    ------
-    InputError, PlanRefused, DriveError, KeyboardInterrupt
-        As `record_moving`.
-    """
-    options, duration_s = how
-    with session.progress(duration_s, f"load {request.load}") as bar:
-        return record_moving(opened, plan, request, (ProgressListener(session, bar),), options)

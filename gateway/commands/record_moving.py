@@ -58,9 +58,10 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
     InputError, PlanRefused, DriveError, KeyboardInterrupt
         As `record_moving`.
     """
+    from gateway.acquire.moving import record_moving
     from gateway.acquire.passes import passes_of
-    from gateway.acquire.session import RecordRequest
-    from gateway.commands.progress import moving_with_progress
+    from gateway.acquire.session import REST_KEYS, RecordRequest
+    from gateway.commands.progress import ProgressListener
     from gateway.data.recording.reader import read
     from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
     from gateway.jobs.frame import begin_motion, flange_question
@@ -83,10 +84,11 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
         options = begin_motion(context, (opened,), options, moving.ask, session.note, what=what, also=also)
         duration_s = sum(one.duration_s for one in passes)
         request = RecordRequest(wish.label, wish.output, wish.resume)
-        summary = moving_with_progress(session, opened, chosen, request, (options, duration_s))
+        with session.progress(duration_s, f"load {wish.label}") as bar:
+            summary = record_moving(opened, chosen, request, (ProgressListener(session, bar),), options)
     if wish.json_out:
         body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(wish.output)}
-        write_json(wish.json_out, body)
+        write_json(wish.json_out, {key: body[key] for key in body if key not in REST_KEYS})
     session.show(
         f"{wish.output}: {summary.periods} periods under load {wish.label}, {summary.skipped} already recorded"
     )

@@ -54,13 +54,11 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
     """Write the page of the black box beside a recording."""
     from gateway.commands.pages import write_page
     from gateway.data.blackbox.box import read_box
-    from gateway.data.blackbox.recovery import recover_box
-    from gateway.data.blackbox.ring_buffer import box_of
+    from gateway.data.blackbox.ring_buffer import recover_box
     from gateway.errors import InputError
     from gateway.report.stop import render_stop
 
-    recover_box(recording)
-    path = box_of(recording)
+    path = recover_box(recording)
     if path != recording and not path.exists():
         raise InputError(
             f"{recording}: no black box ({path.name}) beside it, because the run was not stopped; for a report of the "

@@ -431,22 +431,27 @@ def _line_by_line() -> Generator[None]:
         yield
 
 
+def agreed(question: str, meanwhile: Callable[[], None] | None = None) -> bool:
+    """Ask for confirmation, and return the answer; none means no."""
+    answer = ""
+    while answer not in ("y", "yes", "n", "no"):
+        try:
+            answer = typed_line(f"{question} [y/N]: ", meanwhile).lower() or "no"
+        except click.Abort:
+            answer = "no"
+    return answer in ("y", "yes")
+
+
 def confirm(question: str, declined: str, meanwhile: Callable[[], None] | None = None) -> None:
-    """Ask for confirmation; no answer means no.
+    """Ask for confirmation as `agreed` does.
 
     Raises
     ------
     click.Abort
         With the text `declined`.
     """
-    answer = ""
-    while answer not in ("y", "yes"):
-        try:
-            answer = typed_line(f"{question} [y/N]: ", meanwhile).lower()
-        except click.Abort:
-            answer = "no"
-        if answer in ("", "n", "no"):
-            raise click.Abort(declined)
+    if not agreed(question, meanwhile):
+        raise click.Abort(declined)
 
 
 def _unit(ctx: click.Context, _param: click.Parameter, value: str) -> None:

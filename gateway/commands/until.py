@@ -14,10 +14,10 @@ from gateway.commands.shared_options import KNOWN_FORM, KNOWN_HELP, Function
 from gateway.result.interval import SAID
 
 if TYPE_CHECKING:
+    from gateway.acquire.session import RecordingSummary
     from gateway.acquire.until.goal import Goal
     from gateway.acquire.until.prepare import UntilRequest
-    from gateway.acquire.until.run import UntilSummary
-    from gateway.acquire.until.search import LoadSearch
+    from gateway.acquire.until.search import LoadSearch, NextStep
     from gateway.cell.config import ArmConfig, LoadedCell
     from gateway.commands.console import Session
     from gateway.data.recording.recorded import Recording
@@ -127,8 +127,8 @@ class PoseByPose:
             "the most expected information per second"
         )
 
-    def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> UntilSummary:
-        """Measure with a progress bar; return how it ended.
+    def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> tuple[RecordingSummary, NextStep]:
+        """Measure with a progress bar; return what was added and the last decision.
 
         Raises
         ------
@@ -140,9 +140,9 @@ class PoseByPose:
 
         with session.progress(1.0, f"load {self.search.label}") as bar:
             listener = ProgressListener(session, bar)
-            done = record_until(opened, self.search, self.path, self.earlier, (listener,), options)
-        session.show(done.reason)
-        return done
+            summary, decision = record_until(opened, self.search, self.path, self.earlier, (listener,), options)
+        session.show(summary.reason)
+        return summary, decision
 
 
 def pose_by_pose(loaded: LoadedCell, arm: ArmConfig, request: UntilRequest) -> PoseByPose:
@@ -164,9 +164,9 @@ def pose_by_pose(loaded: LoadedCell, arm: ArmConfig, request: UntilRequest) -> P
     return PoseByPose(search, request.path, earlier)
 
 
-def as_json(done: UntilSummary) -> dict[str, Any]:
+def as_json(reason: str, decision: NextStep) -> dict[str, Any]:
     """Return how it ended as plain values; null if not requested or unknown."""
-    verdict = done.decision.verdict
+    verdict = decision.verdict
 
     def plain(values: Any) -> list[float | None]:
         return [float(value) if math.isfinite(value) else None for value in values]
@@ -174,7 +174,7 @@ def as_json(done: UntilSummary) -> dict[str, Any]:
     half, goal = plain(verdict.half), plain(verdict.goal)
     return {
         "reached": bool(verdict.reached.all()),
-        "reason": done.reason,
+        "reason": reason,
         "poses": verdict.poses,
         "mass_half_width_kg": half[0],
         "mass_goal_kg": goal[0],

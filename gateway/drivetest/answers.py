@@ -13,7 +13,7 @@ import numpy as np
 
 from drives import bringup
 from drives.bus import SYNC_ID, Bus, Frame
-from drives.busload import cycle_bits_worst, load_percent
+from drives.busload import LOAD_LIMIT_PERCENT, cycle_bits_worst, load_percent
 from drives.cia402 import DISABLE_VOLTAGE, SHUTDOWN, State, decode_state
 from drives.clock import SyncClock
 from drives.drive import Cia402Drive
@@ -42,8 +42,6 @@ PERIODS: Final = ((0.002, 500), (0.004, 500), (0.010, 300))
 #: SYNCs of the series at the period of the cell, and controlwords to each drive.
 CELL_SYNCS: Final = 200
 CONTROLWORDS: Final = 20
-#: Bus load up to which a series is run [%].
-LOAD_LIMIT_PERCENT: Final = 70.0
 #: How long a controlword may take to show in the statusword; a drive that needs longer is not moved [s].
 LONGEST_REACTION_S: Final = 0.5
 #: Half-width of the error of a time stamp [s]: by the kernel or the sender, and where the adapter gives none.
@@ -263,8 +261,8 @@ def _count_pdos(
 def _set_period(drive: Cia402Drive, period_s: float) -> str:
     """Set the interpolation period of a drive; return why that is not possible, else an empty text."""
     try:
-        bringup.settle_sync_period(drive.access, period_s)
-        bringup.set_interpolation_period(drive.access, period_s)
+        bringup.settle_sync_period(drive, period_s)
+        bringup.set_interpolation_period(drive, period_s)
     except DriveError as error:
         return str(error)
     return ""

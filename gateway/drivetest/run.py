@@ -22,20 +22,21 @@ from drives.drive import Cia402Drive
 from drives.errors import ConfigurationRefused, DriveError
 from drives.heartbeat import MASTER_NODE_ID
 from drives.objects import OBJECTS
-from drives.proof import STILL_S, StopTrace
+from drives.proof import StopTrace
+from drives.standstill import STILL_S
 from drives.values import DriveReading
 from gateway.check.proofs import keep_proof
-from gateway.check.stop import motion_station, prove_stop, without_heartbeat
+from gateway.check.stop import planned_stream, prove_stop, without_heartbeat
 from gateway.drivetest.answers import FrameRecord, measure_answers
 from gateway.drivetest.estimates import Standstill, add_figure, stop_figure, until_rest
 from gateway.drivetest.torque_age import NAME as AGE
 from gateway.drivetest.torque_age import modulated, torque_age
 from gateway.errors import FindingFailed, LimitExceeded, PlanRefused
 from gateway.motion.drive_limits import quick_stop_rad_s2
-from gateway.motion.observer import Observed, Scene
+from gateway.motion.observer import Observed
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import powered
-from gateway.motion.stream import MoveOptions, Stream
+from gateway.motion.stream import MoveOptions
 from gateway.result.drive_test import DriveTestReport, TimingFigure
 
 LOSS, FAULT_TIME = "heartbeat_loss_to_standstill_s", "fault_reaction_time_s"
@@ -96,7 +97,7 @@ class MotionRecord:
         self.runs: list[PowerRun] = []
         self._group = opened.group
 
-    def began(self, _scene: Scene) -> None:
+    def began(self, *_arms: object) -> None:
         """Begin a run."""
         self.runs.append(PowerRun(time.monotonic()))
 
@@ -338,7 +339,7 @@ class DriveTestRun:
         """Move each tested axis slowly, forth and back; evaluate the motions once the arm is in its brakes."""
         moved: list[tuple[int, PowerRun, int, int]] = []
         try:
-            with powered(Stream(motion_station(self._opened, options))) as stream:
+            with powered(planned_stream(self._opened, options)) as stream:
                 stream.take_over()
                 run = self._motion.runs[-1]
                 for number, report in self._tested.items():

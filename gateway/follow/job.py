@@ -10,7 +10,7 @@ from gateway.errors import DataUnusable
 from gateway.feedforward.identified import checked, read_identified
 from gateway.feedforward.load import FeedLoad, check_origin, identified_load
 from gateway.follow.path import FollowPath, check_path, read_path
-from gateway.follow.path_run import FollowStation, Progress, follow
+from gateway.follow.path_run import Progress, follow
 from gateway.follow.settings import FeedModel, Setting, check_offsets, feed_model, three_settings
 from gateway.follow.track import Track
 from gateway.follow.trend import Trend, load_trend
@@ -131,9 +131,15 @@ def drive(opened: OpenArm, prepared: Prepared, progress: Progress, options: Move
     PlanRefused, LimitExceeded, DriveError, KeyboardInterrupt
         As `gateway.follow.path_run.follow`.
     """
-    pacing = opened.group.timing.pacing
-    station = FollowStation(opened.arm, prepared.workspace, progress, options or MoveOptions(), pacing)
-    tracks = follow(station, prepared.path, prepared.settings)
+    tracks = follow(
+        opened.arm,
+        prepared.workspace,
+        prepared.path,
+        prepared.settings,
+        progress,
+        options,
+        opened.group.timing.pacing,
+    )
     trend = None
     for setting, track in zip(prepared.settings, tracks, strict=True):
         if setting.name == IDENTIFIED and setting.load is not None:

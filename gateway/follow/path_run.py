@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,8 +19,7 @@ from gateway.follow.track import Recorder, Track
 from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
 from gateway.motion.power import powered
-from gateway.motion.state import StateTracker
-from gateway.motion.stream import MoveOptions, Station, Stream
+from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import Workspace
 
@@ -41,29 +39,27 @@ LEAD_RAD = 0.06
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FollowStation:
-    """Arm and options of a run.
+def follow(
+    arm: Arm,
+    workspace: Workspace,
+    path: FollowPath,
+    settings: Sequence[Setting],
+    progress: Progress,
+    options: MoveOptions | None = None,
+    pacing: Pacing = "lockstep",
+) -> tuple[Track, ...]:
+    """Drive one pass of the path per setting; after return or an error, the brakes are on and the offsets are zero.
 
-    Attributes
+    Parameters
     ----------
     arm : Arm
         Connected, configured with feedforward, not enabled.
     workspace : Workspace
+    path : FollowPath
+    settings : sequence of Setting
     progress : Progress
-    options : MoveOptions
+    options : MoveOptions, optional
     pacing : "lockstep" or "real"
-    """
-
-    arm: Arm
-    workspace: Workspace
-    progress: Progress
-    options: MoveOptions = field(default_factory=MoveOptions)
-    pacing: Pacing = "lockstep"
-
-
-def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]) -> tuple[Track, ...]:
-    """Drive one pass of the path per setting; after return or an error, the brakes are on and the offsets are zero.
 
     Raises
     ------
@@ -76,12 +72,12 @@ def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]
     KeyboardInterrupt
         A stop was requested; the arm was stopped.
     """
-    check_path(path, station.workspace)
-    lead = _lead(station.workspace, path.start_rad)
-    start_rad = station.arm.where()
-    refuse_start(station.workspace, start_rad, station.arm.name)
-    transfers = [path_to(station.workspace, begin, lead) for begin in (start_rad, path.end_rad)]
-    run = _Run(station, path)
+    check_path(path, workspace)
+    lead = _lead(workspace, path.start_rad)
+    start_rad = arm.where()
+    refuse_start(workspace, start_rad, arm.name)
+    transfers = [path_to(workspace, begin, lead) for begin in (start_rad, path.end_rad)]
+    run = _Run(arm, workspace, path, progress, options, pacing)
     with run.under_power():
         return tuple(run.drive(setting, transfers[min(number, 1)], number) for number, setting in enumerate(settings))
 
@@ -95,20 +91,21 @@ def _lead(workspace: Workspace, start_rad: np.ndarray) -> np.ndarray:
 class _Run:
     """Run with one enabled arm, and its progress."""
 
-    def __init__(self, station: FollowStation, path: FollowPath) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        workspace: Workspace,
+        path: FollowPath,
+        progress: Progress,
+        options: MoveOptions | None,
+        pacing: Pacing,
+    ) -> None:
         self._path = path
-        self._report_progress = station.progress
-        self._arm = FedArm(station.arm, path.period_s, RAMP_S)
-        self._limits = travel_limits(station.workspace)
+        self._report_progress = progress
+        self._arm = FedArm(arm, path.period_s, RAMP_S)
+        self._limits = travel_limits(workspace)
         self._pass = ("", 0.0)
-        self._station = Station(
-            arms=Arms((self._arm,), station.pacing),
-            workspaces=(station.workspace,),
-            period_s=path.period_s,
-            state=StateTracker(station.arm.name, lambda _state: None),
-            options=station.options,
-            report=self._progress,
-        )
+        self._stream = Stream(Arms((self._arm,), pacing), (workspace,), path.period_s, options, self._progress)
 
     def _progress(self, what: str, row: int, _rows: int) -> None:
         name, done_s = self._pass
@@ -118,7 +115,7 @@ class _Run:
     def under_power(self) -> Generator[None]:
         """Enable the arm and hold until the drives carry the torque of the brakes; offsets are zero on exit."""
         try:
-            with powered(Stream(self._station)) as self._stream:
+            with powered(self._stream):
                 self._stream.take_over()
                 try:
                     yield

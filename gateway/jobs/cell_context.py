@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from drives import bringup
 from drives.bus import Bus, BusSpec, open_bus
-from drives.errors import DriveError
-from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
-from drives.ledger import WriteLedger
+from drives.nodes import GroupOptions, Nodes
 from drives.profile import DriveProfile
 from gateway.acquire.blackbox import last_seconds
 from gateway.cell.buses import bus_specs
@@ -120,8 +119,8 @@ class CellContext:
 
     def check_drives(self, arm: ArmConfig) -> list[Finding]:
         """Check the drives of an arm against profile and cell, without the computer. Nothing is written."""
-        with self.open_bus(arm) as bus:
-            items = check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger))
+        with self._nodes(arm, ()) as nodes:
+            items = check_arm(arm, nodes)
         typed = self.move_command(arm.name, "home")
         return [replace(item, advice=item.advice.replace(MOVE_HOME, typed)) for item in items]
 
@@ -213,36 +212,33 @@ class CellContext:
             yield opened
 
     @contextmanager
-    def connected(self, arm: ArmConfig) -> Generator[DriveGroup]:
+    def connected(self, arm: ArmConfig) -> Generator[Nodes]:
         """Connect to the drives of an arm and the measuring device on its bus; identify them, write nothing."""
-        with self._group(arm) as group:
-            group.connect()
-            yield group
+        with self._nodes(arm, self.instruments(arm)) as nodes:
+            bringup.connect(nodes)
+            yield nodes
 
     @contextmanager
-    def connected_for_restore(self, arm: ArmConfig) -> Generator[tuple[DriveGroup, list[DriveError]]]:
-        """As `connected`, without nodes that do not answer or differ from the expected ones.
-
-        Also return the reasons.
-        """
-        with self._group(arm) as group:
-            yield group, group.connect_for_restore()
+    def connected_for_restore(self, arm: ArmConfig) -> Generator[Nodes]:
+        """As `connected`, without nodes that do not answer or differ from the expected ones."""
+        with self._nodes(arm, self.instruments(arm)) as nodes:
+            bringup.connect_for_restore(nodes)
+            yield nodes
 
     @contextmanager
-    def _group(self, arm: ArmConfig) -> Generator[DriveGroup]:
+    def _nodes(self, arm: ArmConfig, instruments: tuple[InstrumentSetup, ...]) -> Generator[Nodes]:
         config = self.loaded.cell.bus[arm.bus]
         options = GroupOptions(
             ledger_path=self.ledger,
-            instruments=self.instruments(arm),
+            instruments=instruments,
             allow_real_drive=config.allow_real_drive,
         )
+        setups = axis_setups(self.loaded, arm)
         with (
             self.open_bus(arm) as bus,
-            DriveGroup(
-                bus, axis_setups(self.loaded, arm), config.sync_period_s, config.pacing, options=options
-            ) as group,
+            Nodes(bus, setups, config.sync_period_s, config.pacing, options=options) as nodes,
         ):
-            yield group
+            yield nodes
 
 
 def _state_folder() -> Path:

@@ -22,8 +22,7 @@ from gateway.acquire.thermal import Block, Thermal, blocks_of, bracket_of, warm_
 from gateway.acquire.until.goal import Goal
 from gateway.acquire.until.messages import end_of
 from gateway.acquire.until.prepare import UntilRequest, search_of
-from gateway.acquire.until.run import UntilSummary
-from gateway.acquire.until.search import LoadSearch, decide
+from gateway.acquire.until.search import LoadSearch, NextStep, decide
 from gateway.cell.config import ArmConfig
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
@@ -96,8 +95,8 @@ class Dialogue(Protocol):
 
     def measure_until(
         self, opened: OpenArm, search: LoadSearch, earlier: Recording | None, path: Path, options: MoveOptions
-    ) -> UntilSummary:
-        """Record pose by pose until the load is known as required; show the progress."""
+    ) -> NextStep:
+        """Record pose by pose until the load is known as required; show the progress and return the last decision."""
         ...
 
     def say(self, text: str) -> None:
@@ -289,10 +288,10 @@ class _Robot:
             self._mounted = label
         if not missing:
             return
-        done = self._dialogue.measure_until(opened, search, earlier, job.recording, self._job.options)
+        decision = self._dialogue.measure_until(opened, search, earlier, job.recording, self._job.options)
         self._job = replace(self._job, options=replace(self._job.options, first_done=None))
         self._next = max(self._next, 1 + max(pose.number for pose in self._known_poses()))
-        self.ends.append(end_of(done.decision, label))
+        self.ends.append(end_of(decision, label))
 
     def _known_poses(self) -> tuple[RestPose, ...]:
         stored = self._stored()

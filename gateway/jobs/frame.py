@@ -112,9 +112,9 @@ def begin_motion(
     DriveError, SeveralFailures, PlanRefused, KeyboardInterrupt
         As `ask_to_move` and `prove_now`.
     """
-    paths = [context.stop_proof(each.config) for each in opened]
-    new = [(path, each) for path, each in zip(paths, opened, strict=True) if first_motion_pending(path, each)]
-    for path, each in zip(paths, opened, strict=True):
+    arms = [(context.stop_proof(each.config), each) for each in opened]
+    new = [(path, each) for path, each in arms if first_motion_pending(path, each)]
+    for path, each in arms:
         if proof == "stored":
             require_proven(each, path, options.override)
         elif proof == "made" and proven_on(path, each, options.override) is None:
@@ -127,7 +127,7 @@ def begin_motion(
         options = with_held_input(each, options)
         options.desk.watch(frame_log_watched(each))
     if proof == "made":
-        for path, each in zip(paths, opened, strict=True):
+        for path, each in arms:
             proven = proven_on(path, each, options.override)
             if proven is not None:
                 say(f"drives stop on loss of the master: proven {proven}")

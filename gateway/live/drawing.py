@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from gateway.live.wire import ShownArm, ShownBody, ShownCell
+from gateway.live.wire import ShownArm, ShownBody
 from gateway.model.solid import Solid
-from gateway.motion.observer import Scene
 from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
@@ -19,12 +18,6 @@ DIRECTIONS = 96
 RINGS, SIDES = 3, 14
 #: Faces of a hull that are in one plane are drawn as one, up to this difference of their normals.
 FLAT = 1e-4
-
-
-def stage_of(scene: Scene) -> ShownCell:
-    """Return the first message to the page, before arms are enabled."""
-    pairs = zip(scene.arms.members, scene.workspaces, strict=True)
-    return ShownCell(tuple(shown_arm(arm.name, workspace) for arm, workspace in pairs), scene.period_s)
 
 
 def shown_arm(name: str, workspace: Workspace) -> ShownArm:

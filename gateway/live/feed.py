@@ -15,13 +15,15 @@ import numpy as np
 from gateway.acquire.events import PoseDone, Progress
 from gateway.errors import PlanRefused
 from gateway.live import wire
-from gateway.live.drawing import stage_of
+from gateway.live.drawing import shown_arm
 from gateway.live.wire import CommandOver, Ended, Happened, PoseSeen, ShownCell
+from gateway.motion.arms import Arms
 from gateway.motion.observed_fields import fill
-from gateway.motion.observer import MotionProgress, Observed, Scene
+from gateway.motion.observer import MotionProgress, Observed
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import SAFE, Phase, StateTracker
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
+from gateway.motion.workspace import Workspace
 
 #: Least time between two samples [s], enough for a screen.
 ROW_S: Final = 0.0075
@@ -79,9 +81,10 @@ class Feed:
     # -- calls of the motion loop
     # ---------------------------------------------------------------------------------------
 
-    def began(self, scene: Scene) -> None:
+    def began(self, arms: Arms, workspaces: tuple[Workspace, ...], period_s: float, state: StateTracker) -> None:
         """Report that arms are about to be enabled."""
-        self.show(stage_of(scene), scene.state)
+        pairs = zip(arms.members, workspaces, strict=True)
+        self.show(ShownCell(tuple(shown_arm(arm.name, workspace) for arm, workspace in pairs), period_s), state)
 
     def show(self, stage: ShownCell, state: StateTracker) -> None:
         """Register the observed arms."""

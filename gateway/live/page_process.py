@@ -52,6 +52,9 @@ class Channel:
                 datagram = self._end.recv(MOST_BYTES)
             except BlockingIOError:
                 return
+            except ConnectionResetError:
+                # the other end was closed with an answer unread (Linux unix(7)): what it has sent is still to be read
+                continue
             except OSError:
                 datagram = b""
             if not datagram:

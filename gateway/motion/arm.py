@@ -3,98 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import numpy as np
 
 from drives.drive import DriveCommand
 from drives.epoch import Epoch
-from drives.gate import ArmState
+from drives.group import DriveGroup
 from gateway.cell.conversion import AxisConversion
 from gateway.data.sample import ArmSample
 from gateway.feedforward.identified import AxisConstants
-
-
-class ArmDrives(Protocol):
-    """Interface of the drives of an arm on any fieldbus; `drives.group.DriveGroup` implements it for CANopen.
-
-    Attributes
-    ----------
-    on_stop : callable
-        Called before the drives are stopped because of one of their errors.
-    """
-
-    on_stop: Callable[[], None]
-
-    def positions_rad(self) -> Sequence[float]:
-        """Return the motor positions, read while the drives are not enabled."""
-        ...
-
-    def enable(self, stop_requested: Callable[[], bool], /) -> Epoch:
-        """Enable the drives at their present positions; call `stop_requested` at every SYNC until then."""
-        ...
-
-    def exchange(self, commands: Sequence[DriveCommand], /) -> Epoch:
-        """Exchange one SYNC: send targets, return readings."""
-        ...
-
-    def hold(self) -> Epoch:
-        """Exchange one SYNC with the last targets."""
-        ...
-
-    def begin(self, commands: Sequence[DriveCommand] | None, /) -> None:
-        """Real time, first part of a SYNC shared by several arms: send targets, None = the last ones."""
-        ...
-
-    def prepare(self, at_s: float | None, /) -> float:
-        """Second part: wait until the SYNC is due; `due_s` of another arm overrides the own time [monotonic s]."""
-        ...
-
-    def sync(self) -> None:
-        """Third part: send the SYNC."""
-        ...
-
-    def gather(self) -> Epoch:
-        """Fourth part: collect the readings."""
-        ...
-
-    def check(self, epoch: Epoch, /) -> None:
-        """Fifth part: raise the errors that the readings show."""
-        ...
-
-    def abandon(self) -> None:
-        """Abandon a SYNC that was begun."""
-        ...
-
-    def disable(self) -> None:
-        """Apply the brakes and disable the drives."""
-        ...
-
-    def quick_stop(self) -> None:
-        """Stop with the quick stop ramps of the drives."""
-        ...
-
-    def gate(self) -> ArmState:
-        """Read every drive: what may be done with the arm, and what may be said of it."""
-        ...
-
-    def attend(self) -> None:
-        """Keep the bus for a moment while a person is at the arm; raise what has changed."""
-        ...
-
-    def align(self, at_s: float, /) -> None:
-        """Real time: set the time at which the next SYNC is due (monotonic)."""
-        ...
-
-    @property
-    def sync_sent_s(self) -> float:
-        """Monotonic time [s] of the last SYNC."""
-        ...
-
-    @property
-    def brake_drop_rad(self) -> Sequence[float]:
-        """How far each motor has turned since the drives were disabled."""
-        ...
 
 
 class JointSide:
@@ -124,7 +41,7 @@ class Arm:
     Parameters
     ----------
     name : str
-    drives : ArmDrives
+    drives : DriveGroup
         Connected and configured.
     axes : AxisConversion
     known : tuple of AxisConstants, optional
@@ -132,7 +49,7 @@ class Arm:
     """
 
     def __init__(
-        self, name: str, drives: ArmDrives, axes: AxisConversion, known: tuple[AxisConstants, ...] = ()
+        self, name: str, drives: DriveGroup, axes: AxisConversion, known: tuple[AxisConstants, ...] = ()
     ) -> None:
         self.name = name
         self.known = known

@@ -20,28 +20,6 @@ from gateway.motion.workspace import Workspace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """Arms that are about to be enabled.
-
-    Attributes
-    ----------
-    arms : Arms
-        The arms, brakes on.
-    workspaces : tuple of Workspace
-        One per arm: its robot, limits and links.
-    period_s : float
-        SYNC period.
-    state : StateTracker
-        Its `state` is the present state of the arms.
-    """
-
-    arms: Arms
-    workspaces: tuple[Workspace, ...]
-    period_s: float
-    state: StateTracker
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Observed:
     """Data of one SYNC; each tuple has one member per arm.
 
@@ -63,8 +41,8 @@ class Observed:
 class Observer(Protocol):
     """Observer of the motion loop; its methods must return at once."""
 
-    def began(self, scene: Scene, /) -> None:
-        """Called before the arms are powered."""
+    def began(self, arms: Arms, workspaces: tuple[Workspace, ...], period_s: float, state: StateTracker, /) -> None:
+        """Called before the arms are powered, with a workspace per arm, the SYNC period and the state of the arms."""
         ...
 
     def sampled(self, observed: Observed, /) -> None:
@@ -110,9 +88,9 @@ class Observers:
         """Add an observer from now on."""
         self._present.append(observer)
 
-    def began(self, scene: Scene) -> None:
+    def began(self, arms: Arms, workspaces: tuple[Workspace, ...], period_s: float, state: StateTracker) -> None:
         """Notify the observers that the arms will be powered."""
-        self._each(lambda observer: observer.began(scene))
+        self._each(lambda observer: observer.began(arms, workspaces, period_s, state))
 
     def sampled(
         self, samples: tuple[ArmSample, ...], targets_rad: tuple[np.ndarray, ...], modelled_nm: tuple[np.ndarray, ...]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
 
-from drives.bringup import read_constants
-from drives.bus import BusSpec, open_bus
+from drives.bus import Bus, BusSpec, open_bus
 from drives.drive import AxisSetup, Identity
 from drives.errors import ProfileError
 from drives.group import DriveGroup, GroupOptions
@@ -21,6 +20,8 @@ from drives.profile_file import find_profile
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
+from gateway.data.disk import Disk
+from gateway.data.recording.bus_log import FrameLog
 from gateway.errors import ConfigError
 from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.model.arm_model import arm_named, robot_from_text, robot_place, robot_text
@@ -76,6 +77,10 @@ class OpenArm:
         Read from the drives.
     readings : tuple of Readings, one per axis
         Objects of each drive before configuration, (index, subindex) -> value.
+    disk : Disk
+        The process that writes what a motion leaves.
+    log : FrameLog or None
+        Frame log of the bus.
     session : str
         Unique for each connection to the drives.
     """
@@ -90,17 +95,50 @@ class OpenArm:
     identities: tuple[Identity, ...]
     constants: tuple[Constants, ...]
     readings: tuple[Readings, ...]
+    disk: Disk
+    log: FrameLog | None = None
     session: str = field(default_factory=lambda: uuid4().hex)
 
 
 def frame_log_watched(opened: OpenArm) -> StopSource:
     """Return a source that requests a stop along the path once the frame log of an arm's bus cannot be written."""
-    log = opened.group.bus.log
 
     def failed() -> StopRequest | None:
-        return None if log is None or log.failure is None else StopRequest(StopKind.ALONG_PATH, log.failure)
+        failure = None if opened.log is None else opened.log.failure
+        return None if failure is None else StopRequest(StopKind.ALONG_PATH, failure)
 
     return failed
+
+
+@contextmanager
+def logged(bus: Bus, path: Path | None, disk: Disk) -> Generator[FrameLog | None]:
+    """Log the frames of a bus to a file; None: no log.
+
+    Raises
+    ------
+    BusError
+        The file cannot be written, or its suffix is unknown.
+    OSError
+        The log is incomplete; this is a note instead where another error passes.
+    """
+    if path is None:
+        yield None
+        return
+    log = FrameLog(disk, path)
+    bus.add_tap(log.take)
+    error: BaseException | None = None
+    try:
+        yield log
+    except BaseException as passing:
+        error = passing
+        raise
+    finally:
+        bus.remove_tap(log.take)
+        log.close()
+        if log.failure is not None and error is None:
+            raise log.failure
+        if error is not None and log.failure not in (None, error):
+            error.add_note(f"{log.failure.filename}: {log.failure.strerror}")
 
 
 def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
@@ -133,7 +171,7 @@ def _limit_torques(
 
     A motion may accelerate harder than the quick stop decelerates: the larger of both counts.
     """
-    ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], found.readings)
+    ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.nodes.setups], found.readings)
     hardest = None if ramp is None else np.maximum(ramp, workspace.acceleration_rad_s2)
     needed_nm = None if hardest is None else needed_torque_nm(workspace, config, hardest, known)
     limits = motor_torques_nm(AxisConversion.from_arm(config), needed_nm)
@@ -175,7 +213,9 @@ def _refuse_placeholders(config: ArmConfig) -> None:
 
 
 @contextmanager
-def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Generator[OpenArm]:
+def open_arm(
+    loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None, disk: Disk | None = None
+) -> Generator[OpenArm]:
     """Connect, check and configure the drives of an arm; on exit they are disabled and the bus is closed.
 
     An error that passes says what was just read of an arm that has been under power.
@@ -188,6 +228,8 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     override : BusOverride, optional
     arm : str, optional
         Name of the arm, if the cell has several.
+    disk : Disk, optional
+        Process that writes for several arms, closed by the caller; by default one of this arm.
 
     Raises
     ------
@@ -220,11 +262,13 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
         allow_real_drive=bus_config.allow_real_drive,
     )
     with (
-        open_bus(spec, override.trace) as bus,
+        Disk() if disk is None else nullcontext(disk) as writing,
+        open_bus(spec) as bus,
+        logged(bus, override.trace, writing) as log,
         DriveGroup(bus, setups, bus_config.sync_period_s, bus_config.pacing, options=options) as group,
     ):
         identities = group.connect()
-        found = look_over(config, group, identities)
+        found = look_over(config, group.nodes)
         require_passed(found.refusing, "check failed, the arm is not moved")
         _limit_torques(group, config, workspace, found, known)
         group.configure()
@@ -237,8 +281,10 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
             group=group,
             arm=Arm(config.name, group, AxisConversion.from_arm(config), known),
             identities=identities,
-            constants=tuple(read_constants(access) for access in group.access),
+            constants=tuple(drive.scale.constants for drive in group.drives),
             readings=found.readings,
+            disk=writing,
+            log=log,
         )
         try:
             yield opened

@@ -51,16 +51,15 @@ def powered(stream: Stream) -> Generator[Stream]:
     DriveError, LimitExceeded, KeyboardInterrupt
         The cause that ended the motion; failures while stopping are in its notes.
     """
-    station = stream.station
-    desk, observers = station.options.desk, station.options.observers
+    arms, options, desk, observers = stream.arms, stream.options, stream.options.desk, stream.options.observers
     failure: BaseException | None = None
-    station.options.ready()
-    with _on_time(station.arms):
+    options.ready()
+    with _on_time(arms):
         try:
             desk.under_power = True
-            observers.began(station.scene)
+            observers.began(arms, stream.workspaces, stream.period_s, stream.state)
             stream.start()
-            station.state.enter(Phase.HOLDING, stream.sync_index)
+            stream.state.enter(Phase.HOLDING, stream.sync_index)
             yield stream
         except BaseException as error:
             failure = error
@@ -73,15 +72,15 @@ def powered(stream: Stream) -> Generator[Stream]:
                 raise
             finally:
                 desk.under_power = False
-                state = station.arms.gate()
+                state = arms.gate()
                 changed = _brake_dropped(stream, failure) or (None if failure else _changed(state))
                 failure = changed or failure
                 _report_end(stream, failure, state)
                 observers.ended(failure)
                 if changed is not None:
                     raise changed
-            if stream.first_moved and station.options.first_done is not None:
-                station.options.first_done()
+            if stream.first_moved and options.first_done is not None:
+                options.first_done()
     wish = desk.look()
     if wish is not None:
         raise wish.cause
@@ -89,7 +88,7 @@ def powered(stream: Stream) -> Generator[Stream]:
 
 def _make_safe(stream: Stream, failure: BaseException | None) -> None:
     """Stop and disable the arms; an error of this becomes a note of an earlier failure."""
-    arms = stream.station.arms
+    arms = stream.arms
     quick = stream.moving or stream.urgent or isinstance(failure, DriveError | LimitExceeded)
     for action in (arms.quick_stop, arms.disable) if quick else (arms.disable,):
         try:
@@ -110,7 +109,7 @@ def _changed(state: ArmState) -> DriveError | None:
 
 def _report_end(stream: Stream, failure: BaseException | None, state: ArmState) -> None:
     """Report the phase that the drives were read in."""
-    tracker = stream.station.state
+    tracker = stream.state
     tracker.enter(Phase.STOPPING, stream.sync_index)
     since = tracker.state
     if failure is None:
@@ -130,7 +129,7 @@ def _brake_dropped(stream: Stream, failure: BaseException | None) -> BrakeDroppe
     """
     drops = [
         f"arm '{arm.name}', joint {joint} sank by {value:.4f} rad in its brake after its drive was disabled"
-        for arm in stream.station.arms.members
+        for arm in stream.arms.members
         for joint, value in enumerate(arm.brake_drop_rad().tolist(), start=1)
         if value > BRAKE_DROP_RAD
     ]

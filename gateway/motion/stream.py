@@ -17,15 +17,14 @@ import numpy as np
 from drives.realtime import leave_real_time
 from gateway.data.sample import ArmSample
 from gateway.motion.arms import Arms
-from gateway.motion.contact import TAKE_OVER_S
-from gateway.motion.observer import MotionProgress, Observers, Scene
+from gateway.motion.observer import MotionProgress, Observers
 from gateway.motion.own_torque import own_torque
 from gateway.motion.pathclock import PathClock
 from gateway.motion.setpoints import MotionSetpoints, PerArm, SetpointSource
-from gateway.motion.state import StateTracker
+from gateway.motion.state import CellState, StateTracker
 from gateway.motion.stops import StopDesk, StopKind, guarded
 from gateway.motion.trajectory import Motion
-from gateway.motion.watch import Watch
+from gateway.motion.watch import TAKE_OVER_S, Watch
 from gateway.motion.workspace import Workspace
 
 #: Called at intervals with the description of the motion, the sample number and the number of samples.
@@ -80,11 +79,10 @@ class MoveOptions:
     observers: Observers = field(default_factory=Observers)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Station:
-    """Arms, their limits, and the options of the motion.
+class Stream:
+    """Motion and standstill of enabled arms.
 
-    Attributes
+    Parameters
     ----------
     arms : Arms
         Connected and configured, not enabled.
@@ -92,33 +90,16 @@ class Station:
         One per arm.
     period_s : float
         SYNC period.
-    state : StateTracker
-    options : MoveOptions
-    report : Report
-    """
-
-    arms: Arms
-    workspaces: tuple[Workspace, ...]
-    period_s: float
-    state: StateTracker
-    options: MoveOptions
-    report: Report = _nothing
-
-    @property
-    def scene(self) -> Scene:
-        """Return the scene for the observers."""
-        return Scene(self.arms, self.workspaces, self.period_s, self.state)
-
-
-class Stream:
-    """Motion and standstill of enabled arms.
-
-    Parameters
-    ----------
-    station : Station
+    options : MoveOptions, optional
+    report : Report, optional
+        An error that it raises requests a stop along the path.
+    state_changed : callable, optional
+        Called with every new state of the arms.
 
     Attributes
     ----------
+    state : StateTracker
+        Its `state` is the present state of the arms.
     q_rad : tuple of arrays of shape (N,)
         Last setpoints, one per arm.
     samples : tuple of ArmSample
@@ -133,25 +114,33 @@ class Stream:
         True after the first motion with these drives.
     """
 
-    def __init__(self, station: Station) -> None:
-        self.station = station
+    def __init__(
+        self,
+        arms: Arms,
+        workspaces: tuple[Workspace, ...],
+        period_s: float,
+        options: MoveOptions | None = None,
+        report: Report = _nothing,
+        state_changed: Callable[[CellState], None] = lambda _state: None,
+    ) -> None:
+        self.arms, self.workspaces, self.period_s = arms, workspaces, period_s
+        self.options = options or MoveOptions()
+        self.state = StateTracker(" and ".join(arm.name for arm in arms.members), state_changed)
         self.q_rad: PerArm = ()
         self.samples: tuple[ArmSample, ...] = ()
         self.moving = self.urgent = self.first_moved = False
         self.sync_index = 0
-        self._arms, self._desk, self._period_s = station.arms, station.options.desk, station.period_s
-        pairs = zip(station.arms.members, station.workspaces, strict=True)
-        delay_syncs = BUFFERED_SYNCS if station.arms.real else 0.0
+        self._desk, self._observers = self.options.desk, self.options.observers
+        delay_syncs = BUFFERED_SYNCS if arms.real else 0.0
         self._watches = [
-            Watch(arm.name, workspace, station.period_s, delay_syncs, own_torque(arm, workspace, station.period_s))
-            for arm, workspace in pairs
+            Watch(arm.name, workspace, period_s, delay_syncs, own_torque(arm, workspace, period_s))
+            for arm, workspace in zip(arms.members, workspaces, strict=True)
         ]
-        self._acceleration = np.concatenate([each.acceleration_rad_s2 for each in station.workspaces])
-        self._jerk = np.concatenate([each.jerk_rad_s3 for each in station.workspaces])
-        self._observers = station.options.observers
-        self._progress = guarded(station.report, station.options.desk)
-        self._first_done = station.options.first_done
-        self._every = max(1, round(REPORT_S / station.period_s))
+        self._acceleration = np.concatenate([workspace.acceleration_rad_s2 for workspace in workspaces])
+        self._jerk = np.concatenate([workspace.jerk_rad_s3 for workspace in workspaces])
+        self._progress = guarded(report, self._desk)
+        self._first_done = self.options.first_done
+        self._every = max(1, round(REPORT_S / period_s))
         self._gravity_nm: PerArm = ()
 
     def start(self) -> None:
@@ -165,7 +154,7 @@ class Stream:
             A stop was requested while enabling; no arm is under power.
         """
         try:
-            self.samples = self._arms.enable(self._desk.asked)
+            self.samples = self.arms.enable(self._desk.asked)
         except BaseException as error:
             wish = self._desk.look()
             if wish is not None and not isinstance(error, type(wish.cause)):
@@ -195,12 +184,12 @@ class Stream:
             The cause of a stop request; the arms are at rest, or (`urgent`) have to be stopped by their drives' ramps.
         """
         first_done, self._first_done = self._first_done, None
-        share = self.station.options.override
+        share = self.options.override
         if first_done is not None:
             share = min(FIRST_SHARE, share)
-        if self._arms.real:  # what was computed meanwhile must not pass for a stall of the motion
+        if self.arms.real:  # what was computed meanwhile must not pass for a stall of the motion
             self.hold(what, 0, 1)
-        clock = PathClock(source.count, self._period_s, self._acceleration, self._jerk, share)
+        clock = PathClock(source.count, self.period_s, self._acceleration, self._jerk, share)
         self.moving = source.count > 0
         row = 0
         while not clock.done:
@@ -234,9 +223,9 @@ class Stream:
 
     def _come_to_rest(self, source: SetpointSource, at: float) -> None:
         """Hold the setpoints until the joints have caught up, before anything is disabled."""
-        span = max(REST_SYNCS, round(REST_S / self._period_s))
+        span = max(REST_SYNCS, round(REST_S / self.period_s))
         seen: deque[np.ndarray] = deque(maxlen=span + 1)
-        for _ in range(round(REST_LONGEST_S / self._period_s)):
+        for _ in range(round(REST_LONGEST_S / self.period_s)):
             self._asked_to_stop()
             self._send(source, at, 0.0)
             seen.append(np.concatenate([sample.q_rad for sample in self.samples]))
@@ -248,9 +237,9 @@ class Stream:
         ahead, offsets = source.ahead(at, rate), source.offsets()
         commands = [
             arm.command(q, None if ahead is None else ahead[index], None if offsets is None else offsets[index])
-            for index, (arm, q) in enumerate(zip(self._arms.members, targets, strict=True))
+            for index, (arm, q) in enumerate(zip(self.arms.members, targets, strict=True))
         ]
-        samples = self.samples = self._arms.exchange(commands)
+        samples = self.samples = self.arms.exchange(commands)
         self.q_rad = targets
         modelled = source.modelled(at)
         self._look(samples, self._moved() if modelled is None else modelled)
@@ -262,13 +251,13 @@ class Stream:
             self._report(what, row, rows)
         if heed:
             self._heed()
-        samples = self.samples = self._arms.hold()
+        samples = self.samples = self.arms.hold()
         self._look(samples, self._gravity_nm)
         return samples
 
     def stand(self, seconds: float, what: str, listen: Callable[[tuple[ArmSample, ...]], None] | None = None) -> None:
         """Stay at rest for a time and pass every sample to a listener; raises as `drive`."""
-        rows = math.ceil(seconds / self._period_s - HAIR)
+        rows = math.ceil(seconds / self.period_s - HAIR)
         for row in range(rows):
             samples = self.hold(what, row, rows)
             if listen is not None:
@@ -288,7 +277,7 @@ class Stream:
         In lockstep, where no time passes on the bus, the job runs in the calling thread. A stop does not wait for the
         job: it is raised while the job continues in its thread, and its result is dropped.
         """
-        if not (self._arms.real and self._arms.enabled):
+        if not (self.arms.real and self.arms.enabled):
             return job()
         # the first SYNC of arms at rest counts as one of moving arms: nothing may delay it
         self.hold(what, 0, 1)

@@ -64,6 +64,6 @@ class MotorTemperatures:
 
 def motor_temperatures(opened: OpenArm) -> MotorTemperatures | None:
     """Return the temperatures of an arm; None where no profile names an object for them."""
-    pairs = zip(opened.group.access, opened.profiles, strict=False)
+    pairs = zip(opened.group.nodes.access, opened.profiles, strict=False)
     axes = [None if profile.temperature is None else (access.sdo, profile.temperature) for access, profile in pairs]
     return MotorTemperatures(axes) if any(axes) else None

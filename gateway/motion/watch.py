@@ -1,21 +1,27 @@
-"""Limits that are monitored at every SYNC while the arm moves: position, speed, torque, following error, contact."""
+"""Conditions that are monitored at every SYNC under power: range, following error, speed, torque, movement, contact.
+
+Every condition is a value per joint with a limit per joint. `ARM_RULES` holds for how many SYNCs in a row the value may
+exceed its limit, and what to do.
+
+Contact is a jump of the unexplained torque. The model lacks the load, and friction and rotors that were not identified.
+The difference between measured and modelled torque is therefore compared with its own recent mean: the load changes it
+slowly, contact changes it at once.
+"""
 
 from __future__ import annotations
 
 from collections import deque
+from typing import Final
 
 import numpy as np
 
 from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.model.regressor import gravity_regressor
-from gateway.motion.contact import Contact
 from gateway.motion.own_torque import OwnTorque
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.workspace import Workspace
 
-#: Number of consecutive SYNCs above a limit that stop the arm: one noisy reading does not.
-IN_A_ROW = ARM_RULES["limits"].count
 #: Tolerance of the joint range for control error and rounding [rad].
 POSITION_TOLERANCE_RAD = 0.02
 #: Tolerance factor for the measured speed, which is a difference of counts.
@@ -25,14 +31,41 @@ SPEED_SPAN_S = 0.02
 #: Real time: a SYNC counts as delayed from this share of a period on; length of the checked window.
 DELAYED_SHARE = 0.5
 RHYTHM_S = 2.0
+#: Jump of the unexplained torque, as a share of the joint's torque limit; friction at a reversal is below half of it.
+#: A gear that changes from driving to back-driven adds (1 / eta - eta) of the torque it carries.
+CONTACT_SHARE = 0.25
+#: The same for a joint with identified friction, rotor and links: the friction reversal is added by its size,
+#: since the joint reverses later than its setpoints.
+KNOWN_SHARE = 0.15
+#: Time constant of the recent mean [s].
+MEMORY_S = 0.5
+#: A delayed SYNC makes the drives wait and start again: contact is not checked until the oscillation has decayed.
+DELAY_GRACE_S = ARM_RULES["late_sync"].limit
+#: After the brakes open, the drives take over the torque that the brakes have carried; nothing moves yet.
+TAKE_OVER_S = 0.3
+#: Commanded movement after which a joint has to follow, and the share of it that it has to move. A joint that lags at
+#: speed and reverses has moved less, but is then close to its target.
+FOLLOW_RAD = ARM_RULES["stays_behind"].limit
+FOLLOW_SHARE = 0.2
 
-KINDS = ("is {value:.3f} rad off its target", "turns with {value:.3f} rad/s", "needs {value:.0f} Nm")
-UNITS = ("rad", "rad/s", "Nm")
-RANGE = 3
+_JUMP: Final = ": the torque has jumped by {value:.0f} Nm, more than the limit of {limit:.0f} Nm plus the effect of a"
+#: Rule and message of each condition. Jumps up and down are counted apart: delayed setpoints make the torque
+#: oscillate, which does not indicate contact.
+CONDITIONS: Final = (
+    ("range", " is at {q_rad:.3f} rad, outside its range"),
+    ("limits", " is {value:.3f} rad off its target, its limit is {limit:g} rad"),
+    ("limits", " turns with {value:.3f} rad/s, its limit is {limit:g} rad/s"),
+    ("limits", " needs {value:.0f} Nm, its limit is {limit:g} Nm"),
+    ("stays_behind", " was commanded to move by {commanded_rad:.3f} rad but has moved by {moved_rad:.3f} rad"),
+    ("contact", f"{_JUMP} reversal"),
+    ("contact", f"{_JUMP} reversal"),
+)
+#: Number of SYNCs in a row that stop the arm: one noisy reading does not. A limit of movement acts at once.
+_SYNCS: Final = np.array([[max(ARM_RULES[rule].count, 1)] for rule, _ in CONDITIONS])
 
 
 class Watch:
-    """Limit monitor of one arm; one instance per run.
+    """Monitor of one arm; one instance per run.
 
     Parameters
     ----------
@@ -45,6 +78,11 @@ class Watch:
         Delay [SYNCs] after which a drive uses its setpoints, besides its servo lag.
     own : OwnTorque, optional
         Model of the torque of the arm's motion.
+
+    Attributes
+    ----------
+    excused : array of shape (N,), bool
+        Joints of which only the range is checked.
     """
 
     def __init__(
@@ -55,32 +93,41 @@ class Watch:
         delay_syncs: float = 0.0,
         own: OwnTorque | None = None,
     ) -> None:
-        self._arm = arm
-        self._period_s = period_s
-        self._workspace = workspace
+        self._arm, self._workspace, self._period_s = arm, workspace, period_s
+        self._delay_syncs, self._own = delay_syncs, own
         self._middle = (workspace.lower_rad + workspace.upper_rad) / 2
-        half = (workspace.upper_rad - workspace.lower_rad) / 2 + POSITION_TOLERANCE_RAD
-        speed = SPEED_TOLERANCE * workspace.speed_rad_s
-        self._limits = np.array([workspace.following_error_rad, speed, workspace.torque_nm, half])
-        self._half = half
+        self._half = (workspace.upper_rad - workspace.lower_rad) / 2 + POSITION_TOLERANCE_RAD
+        self._jump_nm = CONTACT_SHARE * workspace.torque_nm
+        if own is not None:
+            self._jump_nm = np.fmin(self._jump_nm, KNOWN_SHARE * workspace.torque_nm + own.turning_nm)
+        self._reversal = 1.0 / workspace.efficiency - workspace.efficiency
+        self._mean_nm = np.zeros_like(self._half)
+        self._share = min(period_s / MEMORY_S, 1.0)
+        self._take_over_syncs = self._taking_over = int(np.ceil(TAKE_OVER_S / period_s))
+        self._grace_syncs, self._grace = int(np.ceil(DELAY_GRACE_S / period_s)), 0
+        self.excused = np.zeros(self._half.shape, dtype=bool)
+        speed_rad_s, nothing = SPEED_TOLERANCE * workspace.speed_rad_s, np.zeros_like(self._half)
+        fixed = (workspace.following_error_rad, speed_rad_s, workspace.torque_nm, nothing)
+        self._limits = np.array([self._half, *fixed, self._jump_nm, self._jump_nm])
         self._count = np.zeros(self._limits.shape, dtype=int)
-        self._counting = False
         self._target: np.ndarray | None = None
-        self._delay_syncs = delay_syncs
-        self._own = own
-        self._contact = Contact(arm, workspace, period_s, None if own is None else own.turning_nm)
+        self._from: tuple[np.ndarray, np.ndarray] | None = None
         self._sent: tuple[int, float] | None = None
         self._delayed: deque[bool] = deque(maxlen=max(20, round(RHYTHM_S / period_s)))
         self._history: deque[tuple[float, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
 
     def start(self, q_rad: np.ndarray) -> None:
         """Start monitoring an arm that holds joints (N,) [rad]; a joint outside its range may move inwards."""
-        away = np.abs(q_rad - self._middle) + POSITION_TOLERANCE_RAD
-        self._limits[RANGE] = np.maximum(self._half, away)
+        self._limits[0] = np.maximum(self._half, np.abs(q_rad - self._middle) + POSITION_TOLERANCE_RAD)
 
     def excuse(self, joints: np.ndarray) -> None:
-        """Check only the range of joints (bool, (N,)) from now on: their drives are expected to lose torque."""
-        self._contact.excuse(joints)
+        """Check only the range of joints (bool, (N,)) from now on: their drives are expected to lose torque.
+
+        A joint that is included again starts as after enabling.
+        """
+        if (self.excused & ~joints).any():
+            self._taking_over = self._take_over_syncs
+        self.excused = joints
 
     def modelled_torque(self, q_rad: np.ndarray) -> np.ndarray:
         """Return the gravity torque (n, N) [Nm] of the unloaded arm at positions (n, N); 0 if the links are unknown."""
@@ -113,7 +160,7 @@ class Watch:
         Raises
         ------
         LimitExceeded
-            A joint left its range, or another limit for `IN_A_ROW` SYNCs.
+            A condition of `CONDITIONS` lasted for the SYNCs of its rule.
         IncompleteEpochs
             Too many SYNCs were delayed.
         """
@@ -125,38 +172,60 @@ class Watch:
         self._check_rhythm(sample)
         if not sample.complete:
             return
-        q_rad = sample.q_rad
+        q_rad, torque_nm = sample.q_rad, sample.joint_torque_nm
         self._history.append((sample.time_s, q_rad))
         first_s, first_q = self._history[0]
-        span_s = max(sample.time_s - first_s, 0.5 * self._period_s)
-        torque_nm = sample.joint_torque_nm
-        excused = self._contact.excused
-        speed_rad_s = (q_rad - first_q) / span_s
-        if excused.any():
-            expected = np.where(excused, q_rad, expected)
-            speed_rad_s, torque_nm = np.where(excused, 0.0, (speed_rad_s, torque_nm))
-        off_rad = q_rad - expected
+        speed_rad_s = (q_rad - first_q) / max(sample.time_s - first_s, 0.5 * self._period_s)
+        if self.excused.any():
+            expected = np.where(self.excused, q_rad, expected)
+            speed_rad_s, torque_nm = np.where(self.excused, 0.0, (speed_rad_s, torque_nm))
+        behind, *movement = self._movement(q_rad, expected)
+        unexplained_nm = torque_nm - modelled_nm
+        jump_nm = unexplained_nm - self._mean_nm
+        values = np.array([q_rad - self._middle, q_rad - expected, speed_rad_s, torque_nm, behind, jump_nm, -jump_nm])
+        np.abs(values[:4], out=values[:4])
         if self._delay_syncs:
-            delay_rad = self._delay_syncs * np.abs(target_rad - expected)
-            off_rad = np.sign(off_rad) * np.maximum(np.abs(off_rad) - delay_rad, 0.0)
-        values = np.array([off_rad, speed_rad_s, torque_nm, q_rad - self._middle])
-        over = np.abs(values) > self._limits
+            values[1] -= self._delay_syncs * np.abs(target_rad - expected)
+        over = values > self._limits
         if over.any():
-            self._count = (self._count + 1) * over
-            self._counting = True
-            self._refuse(values, q_rad)
-        elif self._counting:
-            self._count[:] = 0
-            self._counting = False
-        self._narrow(q_rad)
-        self._contact.check(q_rad, torque_nm, modelled_nm, expected)
+            carried_nm = np.maximum(np.abs(torque_nm), np.abs(modelled_nm + self._mean_nm))
+            over[-2:] &= (values[-2:] > self._jump_nm + self._reversal * carried_nm) & ~self.excused
+            over[-2:] &= self._taking_over == self._grace == 0
+        self._count = (self._count + 1) * over
+        if (self._count >= _SYNCS).any():
+            kind, joint = np.argwhere(self._count >= _SYNCS)[0].tolist()
+            rule, message = CONDITIONS[kind]
+            what = message.format(
+                value=values[kind, joint],
+                limit=self._limits[kind, joint],
+                q_rad=q_rad[joint],
+                commanded_rad=movement[0][joint],
+                moved_rad=movement[1][joint],
+            )
+            raise LimitExceeded(
+                f"arm '{self._arm}', joint {joint + 1}{what}: {ARM_RULES[rule].advice}", joint=joint + 1
+            )
+        if (self._limits[0] > self._half).any():  # the tolerance of a joint that started outside narrows as it moves in
+            inward_rad = np.minimum(self._limits[0], values[0] + POSITION_TOLERANCE_RAD)
+            self._limits[0] = np.maximum(self._half, inward_rad)
+        if self._taking_over:
+            self._mean_nm = unexplained_nm
+        elif not over[-2:].any():
+            self._mean_nm = self._mean_nm + self._share * jump_nm
+        self._taking_over, self._grace = max(self._taking_over - 1, 0), max(self._grace - 1, 0)
 
-    def _narrow(self, q_rad: np.ndarray) -> None:
-        """Narrow the tolerance of a joint that started outside its range as it moves in."""
-        reach = self._limits[RANGE]
-        if (reach > self._half).any():
-            inward = np.minimum(reach, np.abs(q_rad - self._middle) + POSITION_TOLERANCE_RAD)
-            self._limits[RANGE] = np.maximum(self._half, inward)
+    def _movement(self, q_rad: np.ndarray, target_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return which joints (N,) stay behind; commanded and measured movement (N,) [rad] since the last check."""
+        if self._from is None:
+            self._from = (q_rad.copy(), target_rad.copy())
+        start_q, start_target = self._from
+        commanded, moved = target_rad - start_target, q_rad - start_q
+        far = np.abs(commanded) > FOLLOW_RAD
+        if not far.any():
+            return far, commanded, moved
+        lags = np.abs(target_rad - q_rad) > (1.0 - FOLLOW_SHARE) * FOLLOW_RAD
+        start_q[far], start_target[far] = q_rad[far], target_rad[far]
+        return far & lags & (moved * np.sign(commanded) < FOLLOW_SHARE * np.abs(commanded)), commanded, moved
 
     def _check_rhythm(self, sample: ArmSample) -> None:
         """Count delayed SYNCs; too many of them stop the arm."""
@@ -167,24 +236,7 @@ class Watch:
         self._delayed.append(sample.time_s > on_time_s)
         if not self._delayed[-1]:
             return
-        self._contact.note_delayed_sync()
+        self._grace = self._grace_syncs
         delayed, rule = sum(self._delayed), ARM_RULES["rhythm"]
         if delayed > rule.limit * (self._delayed.maxlen or 1):
             raise rule.raised(f"arm '{self._arm}': {delayed} of the last {len(self._delayed)} SYNCs were delayed")
-
-    def _refuse(self, values: np.ndarray, q_rad: np.ndarray) -> None:
-        if self._count[RANGE].any():
-            joint = int(np.argmax(self._count[RANGE]))
-            raise LimitExceeded(
-                f"arm '{self._arm}', joint {joint + 1} is at {q_rad[joint]:.3f} rad, outside its range: "
-                f"{ARM_RULES['range'].advice}",
-                joint=joint + 1,
-            )
-        if self._count.max() >= IN_A_ROW:
-            kind, joint = np.argwhere(self._count >= IN_A_ROW)[0]
-            what = KINDS[kind].format(value=abs(values[kind, joint]))
-            limit = f"{self._limits[kind, joint]:g} {UNITS[kind]}"
-            raise LimitExceeded(
-                f"arm '{self._arm}', joint {joint + 1} {what}, its limit is {limit}: {ARM_RULES['limits'].advice}",
-                joint=int(joint) + 1,
-            )

@@ -8,8 +8,8 @@ from pathlib import Path
 from drives.bus import Bus, BusSpec, open_bus
 from drives.datasheet.building import read_sheet
 from drives.datasheet.sheet import Sheet
+from drives.discovery import matching_profiles, scan
 from drives.errors import BusError, SdoAbort
-from drives.probe import matching_profiles, scan
 from drives.sdo import SdoClient
 from drives.values import Identity
 from gateway.newcell.answers import ASSUMED

@@ -10,11 +10,12 @@ import numpy as np
 from drives.instrument import InstrumentSetup
 from gateway.cell.config_pair import DistanceConfig, PairConfig
 from gateway.data.sample import ArmSample
+from gateway.motion.reactions import ARM_RULES
 from gateway.pair.distance import DistanceEstimator, DistanceSensors
 from gateway.pair.transform import Floats, inverse
 
-#: Largest difference between sensors and the hands' motion: share of it, and at least [m]; number of SYNCs.
-SENSOR_MISMATCH, LEAST_MOVED_M, SENSOR_MISMATCH_SYNCS = 0.3, 1.5e-4, 2
+#: Largest difference between sensors and the hands' motion: share of it, and at least [m].
+SENSOR_MISMATCH, LEAST_MOVED_M = 0.3, 1.5e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +122,7 @@ class SensorCheck:
         self._off = (
             self._off + 1 if np.linalg.norm(moved - expected) > max(SENSOR_MISMATCH * size, LEAST_MOVED_M) else 0
         )
-        return self._named(moved, expected) if self._off > SENSOR_MISMATCH_SYNCS else ""
+        return self._named(moved, expected) if self._off >= ARM_RULES["sensors"].count else ""
 
     def _named(self, moved: Floats, expected: Floats) -> str:
         number = [one.subindex for one in self._layout.config.channel]

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gateway.data.disk import Disk
 from gateway.motion.arms import Arms
 from gateway.motion.opening import BusOverride, OpenArm, open_arm
-from gateway.motion.state import StateTracker
-from gateway.motion.stream import MoveOptions, Station
+from gateway.motion.stream import MoveOptions, Stream
 from gateway.pair.gap import instruments_on
 from gateway.pair.pair_cell import PairCell
 from gateway.result.pair import LinkStatistics, Skew
@@ -29,15 +29,10 @@ class PairLink:
     def __init__(self, opened: tuple[OpenArm, OpenArm], together: Arms) -> None:
         self.opened, self.together = opened, together
 
-    def station(self, cell: PairCell, options: MoveOptions) -> Station:
-        """Return the interface of both arms for the motion loop."""
-        return Station(
-            arms=self.together,
-            workspaces=tuple(each.workspace for each in self.opened),
-            period_s=cell.sync_period_s,
-            state=StateTracker(" and ".join(each.config.name for each in self.opened), lambda _state: None),
-            options=options,
-        )
+    def stream(self, cell: PairCell, options: MoveOptions) -> Stream:
+        """Return the stream of both arms."""
+        workspaces = tuple(opened.workspace for opened in self.opened)
+        return Stream(self.together, workspaces, cell.sync_period_s, options)
 
     def statistics(self) -> LinkStatistics:
         """Return the counters of both buses so far."""
@@ -67,11 +62,10 @@ def open_link(cell: PairCell, ledger: Path | None = None) -> Generator[PairLink]
         As `open_arm`.
     """
     with ExitStack() as opened:
-        arms = []
+        arms, disk = [], opened.enter_context(Disk())
         for arm, spec in zip(cell.arms, cell.specs, strict=True):
-            beside = instruments_on(arm.config.bus, cell.config)
-            override = BusOverride(spec=spec, ledger=ledger, instruments=beside)
-            arms.append(opened.enter_context(open_arm(cell.loaded, override, arm.config.name)))
+            override = BusOverride(spec, ledger=ledger, instruments=instruments_on(arm.config.bus, cell.config))
+            arms.append(opened.enter_context(open_arm(cell.loaded, override, arm.config.name, disk)))
         together = Arms([each.arm for each in arms], cell.pacing)
         opened.callback(together.close)
         yield PairLink((arms[0], arms[1]), together)

@@ -16,6 +16,7 @@ import numpy as np
 from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded, PlanRefused, WrongPlace
 from gateway.motion.joint_path import angles
+from gateway.motion.reactions import ARM_RULES
 from gateway.motion.setpoints import PerArm
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
@@ -84,7 +85,7 @@ class PairMotionOptions:
     speed: float | None = None
     back_speed: float | None = None
     force_limit_n: float | None = None
-    force_stop_s: float = 0.02
+    force_stop_s: float = ARM_RULES["force"].limit
     laws_s: Floats | None = None
     moves: MoveOptions = field(default_factory=MoveOptions)
 
@@ -132,7 +133,7 @@ class PairMotion:
         self.options = options or PairMotionOptions()
         self.calibration = calibration_of(cell)
         self.dt_s = cell.sync_period_s
-        self._desk = stream.station.options.desk
+        self._desk = stream.options.desk
         self._gap = None if cell.gap is None else GapWatch(cell.gap)
         lag_s = cell.config.servo_lag_s
         self._friction = [FrictionOffset(arm, self.dt_s, lag_s) for arm in cell.arms] if cell.gap else []
@@ -177,7 +178,7 @@ class PairMotion:
             path_joint_angles(arm.chain, to, seed)[0]
             for arm, to, seed in zip(cell.arms, targets, seeds_rad, strict=True)
         ]
-        for arm, workspace, q in zip(cell.arms, self.stream.station.workspaces, joints, strict=True):
+        for arm, workspace, q in zip(cell.arms, self.stream.workspaces, joints, strict=True):
             refuse_unreachable(arm.config.name, workspace, q, path.dt_s)
         followers = [JointFollower(arm, q) for arm, q in zip(cell.arms, joints, strict=True)]
         rates = [np.gradient(q, path.dt_s, axis=0) for q in joints]

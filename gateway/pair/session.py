@@ -11,7 +11,6 @@ import numpy as np
 from gateway.errors import ConfigError, InputError
 from gateway.motion.power import powered
 from gateway.motion.stops import guarded
-from gateway.motion.stream import Stream
 from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.function_file import read_stored, refuse_foreign, transform_of
 from gateway.pair.impedance import Gains
@@ -118,7 +117,7 @@ def teach_pair(
     options = options or PairMotionOptions()
     refuse_elsewhere(cell, link.together.where())
     # slower trajectories and sweeps are planned, so that forces are measured at their speed
-    stream = Stream(link.station(cell, replace(options.moves, override=1.0)))
+    stream = link.stream(cell, replace(options.moves, override=1.0))
     motion = PairMotion(cell, stream, options)
     plain, share = TeachRule(), options.moves.override
     rule = replace(plain, path_speed_m_s=share * plain.path_speed_m_s, sweep_s=plain.sweep_s / share)
@@ -235,7 +234,7 @@ def run_pair(
         row = replace(row, learning=None)
     refuse_elsewhere(cell, link.together.where())
     # a path that is planned slower is learned from as it is driven
-    stream = Stream(link.station(cell, replace(moves, override=1.0)))
+    stream = link.stream(cell, replace(moves, override=1.0))
     options = replace(options, speed=speed * moves.override, laws_s=servo_laws(cell, store, row))
     run = PairRun(cell, stream, row, first, options, function_back(store, row))
     if store.frozen or moves.first_done is not None:  # a first motion is slower than what is learned

@@ -7,19 +7,23 @@ from dataclasses import dataclass
 from typing import Final
 
 from drives.abort import ABSENT
-from drives.bringup import read_identity
-from drives.bus import Bus
-from drives.busload import cycle_bits_worst, load_percent
-from drives.discovery import LISTEN_S, nmt_states
-from drives.errors import DriveError, SdoAbort, SdoError, SdoProtocolError, raise_failures
-from drives.foreign_master import refuse_foreign
-from drives.group import DriveGroup
-from drives.heartbeat import NmtState
+from drives.bringup import identify, listen_for_masters
+from drives.busload import LOAD_LIMIT_PERCENT, cycle_bits_worst, load_percent
+from drives.discovery import read_identity
+from drives.drive import Cia402Drive
+from drives.errors import (
+    DriveError,
+    DuplicateNode,
+    IdentityMismatch,
+    SdoAbort,
+    SdoProtocolError,
+    raise_failures,
+)
 from drives.instrument import InstrumentSetup
 from drives.ledger import KnownDevice, WriteLedger
+from drives.nodes import Nodes
 from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plan, tpdo_plans
-from drives.probe import probe
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
 from drives.sdo import SdoClient
 from drives.values import Identity
@@ -40,8 +44,6 @@ from gateway.preflight.rules import (
 from gateway.preflight.swap import SeenDrive, judge_places
 from gateway.result.result import Finding
 
-# largest planned worst-case load of a bus in real time
-LOAD_LIMIT_PERCENT = 70.0
 #: Objects read from every drive: state and settings.
 READ_LIVE: Final = ("statusword", "position", "digital_inputs", "torque_offset")
 READ_SETTINGS: Final = (
@@ -152,21 +154,6 @@ def needed_addresses(profile: DriveProfile) -> frozenset[Address]:
     return frozenset(_references(profile)) | {OBJECTS[name].address for name in NEEDED}
 
 
-def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings, dict[Address, str]]:
-    """Read identity and every relevant object, as `read_objects`.
-
-    Raises
-    ------
-    SdoError
-        The drive does not answer, or refuses an object that is needed.
-    """
-    sdo = SdoClient(bus, axis.config.node_id, axis.profile.sdo.timeout_s, axis.profile.sdo.slow_timeout_s)
-    try:
-        return read_identity(sdo), *read_objects(sdo, axis.profile)
-    finally:
-        sdo.close()
-
-
 def read_objects(sdo: SdoClient, profile: DriveProfile) -> tuple[Readings, dict[Address, str]]:
     """Read every relevant object.
 
@@ -215,59 +202,52 @@ def as_left(readings: Readings, identity: Identity, ledger: WriteLedger, bus: st
     return kept
 
 
-def check_arm(
-    bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile], ledger: WriteLedger | None = None
-) -> list[Finding]:
-    """Check the drives of an arm; a drive that does not answer is a failing item, the others are still read.
+def check_arm(arm: ArmConfig, nodes: Nodes) -> list[Finding]:
+    """Find and check the drives of an arm; one that cannot be used is a failing item, the others are still read.
 
-    Swapped drives are reported before the limit violations that result from the swap.
+    Swapped drives are reported before the limit violations that result from the swap. Nothing is written, and a drive
+    in NMT state STOPPED stays there.
 
     Parameters
     ----------
-    bus : Bus
     arm : ArmConfig
-    profiles : sequence of DriveProfile, one per axis
-        Of the axes, in order.
-    ledger : WriteLedger, optional
-        Objects written by the gateway.
+    nodes : Nodes
 
     Raises
     ------
     ForeignMaster
         Another master is active: requests beside it could stop its arm.
     """
-    ledger = ledger or WriteLedger()
-    refuse_foreign(bus)
-    answers = probe(bus, [config.node_id for config in arm.axis])
-    not_answering = [node_id for node_id, number in answers.items() if number == 0]
-    states = nmt_states(bus, not_answering, LISTEN_S) if not_answering else {}
+    listen_for_masters(nodes)
+    identify(nodes, wakes=False)
+    unusable = {each.node: each for each in nodes.failures_found if not isinstance(each, IdentityMismatch)}
     items: list[Finding] = []
     seen: list[SeenDrive] = []
-    for axis in _axes(arm, profiles):
-        node_id = axis.config.node_id
-        if answers[node_id] > 1:
-            items.append(_twice(axis, answers[node_id]))
-            continue
-        if states.get(node_id) is NmtState.STOPPED:
-            items.append(_stopped(axis))
-            continue
+    for axis, drive in zip(_axes(arm, [drive.setup.profile for drive in nodes.drives]), nodes.drives, strict=True):
         try:
-            identity, readings, unread = read_axis(bus, axis)
-            seen.append(SeenDrive(axis, identity, as_left(readings, identity, ledger, bus.spec.name), unread))
-        except SdoError as error:
+            if (failure := unusable.get(drive.node_id)) is not None:
+                raise failure
+            seen.append(_seen(axis, drive, nodes))
+        except DriveError as error:
             items.append(_unreachable(axis, error))
     return [*items, *judge_drives(arm, seen).items]
 
 
-def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity]) -> Preflight:
+def _seen(axis: Axis, drive: Cia402Drive, nodes: Nodes) -> SeenDrive:
+    """Read a drive that was identified."""
+    identity = drive.identity or read_identity(drive.access.sdo)
+    readings, unread = read_objects(drive.access.sdo, axis.profile)
+    return SeenDrive(axis, identity, as_left(readings, identity, nodes.ledger, nodes.bus.spec.name), unread)
+
+
+def look_over(arm: ArmConfig, nodes: Nodes) -> Preflight:
     """Read and assess connected drives.
 
     Parameters
     ----------
     arm : ArmConfig
-    group : DriveGroup
+    nodes : Nodes
         Connected, not configured.
-    identities : sequence of Identity, one per axis
 
     Raises
     ------
@@ -276,12 +256,10 @@ def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity])
     """
     seen: list[SeenDrive] = []
     failures: list[DriveError] = []
-    axes = _axes(arm, [access.profile for access in group.access])
-    for axis, identity, access in zip(axes, identities, group.access, strict=True):
+    axes = _axes(arm, [access.profile for access in nodes.access])
+    for axis, drive in zip(axes, nodes.drives, strict=True):
         try:
-            readings, unread = read_objects(access.sdo, axis.profile)
-            left = as_left(readings, identity, group.ledger, group.bus.spec.name)
-            seen.append(SeenDrive(axis, identity, left, unread))
+            seen.append(_seen(axis, drive, nodes))
         except DriveError as error:
             failures.append(error)
     raise_failures(failures)
@@ -376,29 +354,10 @@ def _unreadable(axis: Axis, unread: Mapping[Address, str]) -> list[Finding]:
     return lines.items
 
 
-def _twice(axis: Axis, answers: int) -> Finding:
-    return Finding(
-        "fail",
-        f"J{axis.joint} node {axis.config.node_id}",
-        f"{answers} devices answer at this node id",
-        "set a unique node id on each drive first",
-    )
-
-
-def _stopped(axis: Axis) -> Finding:
-    return Finding(
-        "fail",
-        f"J{axis.joint} node {axis.config.node_id}",
-        "is in NMT state STOPPED, in which a drive does not answer SDO requests",
-        "find the cause of the stop; `servo-gateway restore CELL` sets PRE-OPERATIONAL (NMT 0x80), or power-cycle "
-        "the drive",
-    )
-
-
 def _unreachable(axis: Axis, error: DriveError) -> Finding:
     where = f"J{axis.joint} node {axis.config.node_id}"
     if isinstance(error, SdoAbort) and error.index is not None:
         place = f"{where}:{object_name(error.index, error.subindex or 0)}"
         return Finding("fail", place, f"cannot be read: {error.what}", error.advice)
-    advice = "check supply, wiring and node id; `servo-gateway scan` lists the nodes on the bus"
-    return Finding("fail", where, f"does not answer: {error.what}", advice)
+    what = error.what if isinstance(error, DuplicateNode) else f"does not answer: {error.what}"
+    return Finding("fail", where, what, f"{error.advice}; `servo-gateway scan` lists the nodes on the bus")

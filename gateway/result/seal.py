@@ -6,14 +6,13 @@ is excluded, since a simulator adds it afterwards. The checksum detects accident
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from typing import Any, Final
 
+from drives import files
 from gateway.errors import InputError
 
-KEY: Final = "sha256"
+KEY: Final = files.SEAL
 #: Keys that the checksum leaves out.
 UNSEALED: Final = (KEY, "truth")
 
@@ -26,9 +25,7 @@ def checksum(plain: Mapping[str, Any]) -> str:
     RecursionError
         Nested deeper than any file is.
     """
-    body = {key: value for key, value in plain.items() if key not in UNSEALED}
-    text = json.dumps(body, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode("ascii")).hexdigest()
+    return files.checksum({key: value for key, value in plain.items() if key not in UNSEALED})
 
 
 def sealed(plain: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,14 +5,10 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.language import (
-    counts,
-    in_identifier,
     in_text,
     long_sentences,
     lowered,
     over,
-    package,
-    slips_of_page,
     slips_of_python,
 )
 
@@ -33,42 +29,6 @@ def test_words_with_a_private_meaning_are_found(text, found):
     assert in_text(text) == found
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "There is no simpler model",
-        "the data cannot be reduced by way of a filter",
-        "in the same way, the other way round",
-        "make sure that the brake holds",
-        "the noise floor of the room temperature sensor",
-        "CSP stands for cyclic synchronous position",
-        "an extraordinary configuration",
-        "known, given, later, string, outside, towards",
-        "poses that tell apart two causes",
-        "advice",
-    ],
-)
-def test_words_of_the_field_and_of_plain_english_are_not_found(text):
-    assert in_text(text) == []
-
-
-@pytest.mark.parametrize(
-    ("identifier", "found"),
-    [
-        ("mass_doubt_kg", ["doubt"]),
-        ("LateAnswer", ["late"]),
-        ("_WAY_M", ["way"]),
-        ("given", ["given"]),
-        ("given_loads", []),
-        ("template_halfway", []),
-        ("set_aside", []),
-        ("related", []),
-    ],
-)
-def test_parts_of_identifiers_are_found(identifier, found):
-    assert in_identifier(identifier) == found
-
-
 def test_a_python_file_is_read_once_for_each_name_and_everywhere_for_texts():
     source = '"""Who is told."""\ndoubt = 1\ndoubt = 2\n# late\ntext = f"on the way {doubt}"\n'
     assert [(each.line, each.found) for each in slips_of_python("gateway/a.py", source)] == [
@@ -79,21 +39,10 @@ def test_a_python_file_is_read_once_for_each_name_and_everywhere_for_texts():
     ]
 
 
-def test_code_of_a_page_is_not_read_as_its_text():
-    page = "It is `told`.\n\n```\ntold\n```\n\nNobody.\n"
-    assert [(each.line, each.found) for each in slips_of_page("docs/a.md", page)] == [(7, "nobody")]
-
-
 def test_word_counts_end_at_a_full_stop():
     short, long = " ".join(["word"] * 30) + ".", " ".join(["word"] * 31) + "."
     assert long_sentences(f"{short} {short}\n\n| {long} |") == []
     assert long_sentences(f"{short} {long}") == [long]
-
-
-def test_packages_are_counted_by_their_folders():
-    assert package("gateway/commands/bus.py") == "gateway.commands"
-    assert package("drives/profiles/a.py") == "drives"
-    assert package("README.md") == "pages"
 
 
 def test_a_count_above_its_ceiling_is_an_error_and_a_ceiling_never_rises():
@@ -101,7 +50,3 @@ def test_a_count_above_its_ceiling_is_an_error_and_a_ceiling_never_rises():
     ceilings = {"a": {"word": 2, "long": 1}, "c": {"word": 5, "long": 0}}
     assert [message.split(",")[0] for message in over(counted, ceilings)] == ["a: 3 old words", "b: 1 old words"]
     assert lowered(counted, ceilings) == {"a": {"word": 2, "long": 0}}
-
-
-def test_every_package_of_the_repository_is_counted():
-    assert {"gateway.commands", "drives", "sim", "docs", "tests.gateway"} <= counts(()).keys()

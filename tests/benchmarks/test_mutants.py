@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ast
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import Mutant, Reach, draw, mirrored, mutated, noticed, places
+from benchmarks.mutants import Mutant, mutated, noticed, places
 
 TEXT = """
 def check(a: int | None, b):
@@ -30,23 +29,6 @@ def test_each_mutant_changes_one_thing():
     for text in texts:
         lines = [pair for pair in zip(plain.splitlines(), text.splitlines(), strict=True) if pair[0] != pair[1]]
         assert len(lines) == 1, lines
-
-
-def test_mutants_are_drawn_by_the_seed(tmp_path):
-    (tmp_path / "drives").mkdir()
-    (tmp_path / "drives" / "a.py").write_text(TEXT * 4)
-    first = draw(3, 1, ["drives"], tmp_path)
-    assert first == draw(3, 1, ["drives"], tmp_path)
-    assert len(first) == 3
-    assert first != draw(3, 2, ["drives"], tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("path", "folder"),
-    [("drives/epoch.py", "tests/drives"), ("gateway/motion/watch.py", "tests/gateway/motion")],
-)
-def test_a_module_is_mirrored_by_the_tests_of_its_package(path, folder):
-    assert mirrored(path) == folder
 
 
 LARGER = "def larger(a, b):\n    if a > b:\n        return a\n    return b\n"
@@ -87,21 +69,3 @@ def test_a_test_that_looks_notices_whichever_is_asked_first(project, first):
 def test_a_test_that_does_not_look_does_not_notice(project, first):
     (project / "tests/drives/test_a.py").write_text(LOOKS.replace("== 2", "in (1, 2)"))
     assert not noticed(MUTANT, project, first)
-
-
-@pytest.mark.slow
-def test_the_slow_suite_is_asked_last(project):
-    slow = LOOKS.replace("def test", "import pytest\n\n@pytest.mark.slow\ndef test")
-    (project / "tests/drives/test_a.py").write_text(slow)
-    (project / "pyproject.toml").write_text('[tool.pytest.ini_options]\npythonpath = ["."]\nmarkers = ["slow"]\n')
-    assert noticed(MUTANT, project) == "slow"
-
-
-@pytest.mark.slow
-def test_the_tests_that_come_to_a_line_are_known(project):
-    reach = Reach(["tests/drives"], project)
-    assert reach.tests(MUTANT) == ("tests/drives/test_a.py::test_larger",)
-    assert reach.tests(replace(MUTANT, line=3)) == ()
-    (project / "tests/drives/test_b.py").write_text("def test_wrong():\n    assert False\n")
-    with pytest.raises(SystemExit, match="fails before anything is changed"):
-        Reach(["tests/drives"], project)

@@ -184,8 +184,7 @@ def test_what_is_owed_and_has_come_is_owed_no_more() -> None:
     alignment = Alignment()
     alignment.learn(0.001)
     for frames, came in (([None], 0), ([None], 0), ([b"x"], 3)):
-        alignment.begin()
         for _ in range(came):
             alignment.came(0, 0.001)
         alignment.end(frames)
-        assert (0 in alignment.astray) == (came == 0)
+        assert (0 in alignment.unassigned) == (came == 0)

@@ -7,6 +7,7 @@ import math
 import pytest
 
 from drives.drive import DriveCommand
+from drives.drive_limits import limit_torque
 from drives.errors import CommandRefused, DriveFault, ProfileError
 from drives.group import DriveGroup, GroupOptions
 from drives.profile_file import load_profile
@@ -194,13 +195,13 @@ def test_a_later_run_may_need_more_but_never_more_than_was_found(bus, slave, gen
 def test_the_torque_limit_does_not_change_under_power(bus, slave, generic):
     with ready(bus, generic) as group:
         (drive,) = group.drives
-        assert drive.limit_torque(2000)
-        assert not drive.limit_torque(3001)
+        assert limit_torque(drive.access, 2000)
+        assert not limit_torque(drive.access, 3001)
         group.enable()
         with pytest.raises(DriveFault, match="only while it is disabled"):
-            drive.limit_torque(1000)
+            limit_torque(drive.access, 1000)
         group.disable()
-        assert drive.limit_torque(1000)
+        assert limit_torque(drive.access, 1000)
     assert slave.values[0x6072, 0] == 1000
 
 

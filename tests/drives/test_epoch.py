@@ -68,7 +68,7 @@ def test_a_delayed_answer_never_enters_the_next_row(group, slaves, delay_s):
 
 def test_an_answer_that_comes_after_the_next_sync_contradicts_its_successor(group, slaves):
     """Later than every wait: two different frames of one TPDO answer one SYNC, and neither is accepted."""
-    slaves[0].tpdo_delay_s[slaves[0].sync_seen + 1] = 0.0413
+    slaves[0].tpdo_delay_s[slaves[0].sync_seen + 1] = 0.0433
     slaves[0].tpdo_delay_s[slaves[0].sync_seen + 2] = 0.0006
     assert step(group, slaves).missing == (0,)
     for _ in range(5):
@@ -86,7 +86,7 @@ def test_of_a_single_drive_too_an_answer_to_the_sync_before_is_not_accepted(bus,
         group.configure()
         group.enable()
         seen = slaves[0].sync_seen
-        slaves[0].tpdo_delay_s |= {seen + 1: 0.0413, seen + 2: 0.0006}
+        slaves[0].tpdo_delay_s |= {seen + 1: 0.0433, seen + 2: 0.0006}
         assert step(group, slaves).missing == (0,)
         for _ in range(5):
             step(group, slaves)
@@ -180,15 +180,15 @@ class Script:
 @given(st.lists(st.one_of(st.none(), st.tuples(st.sampled_from([0x181, 0x182, 0x200, 0x77F]), st.binary(max_size=8)))))
 def test_whatever_arrives_a_slot_holds_a_frame_of_its_length_or_nothing(wire, frames):
     with Bus(Script(frames), BusSpec("test", "script")) as bus:
-        collector = EpochCollector(bus, [(0x181, 8), (0x182, 4)])
-        row = collector.collect(1e-3, 1e-4)
+        collector = EpochCollector(bus, [(0x181, 8), (0x182, 4)], 1e-3)
+        row = collector.collect(wire.now_s, 0.0)
         assert [None if data is None else len(data) for data in row] in ([8, 4], [None, 4], [8, None], [None, None])
         seen: dict[int, set[bytes]] = {0x181: set(), 0x182: set()}
         for item in frames:
             if item is not None and len(item[1]) == {0x181: 8, 0x182: 4}.get(item[0]):
                 seen[item[0]].add(item[1])
         assert row[0] is None or bytes(row[0]) in seen[0x181]
-        collector.settle(1e-4)
+        collector.sweep()
         collector.close()
 
 
@@ -201,7 +201,7 @@ def test_a_drive_that_is_only_slow_is_waited_for(group, slaves):
     for _ in range(5):
         assert step(group, slaves).complete
     assert group.statistics.incomplete == 0
-    assert group.access[1].sdo.upload(0x1000) == b"\x92\x01\x02\x00"
+    assert group.nodes.access[1].sdo.upload(0x1000) == b"\x92\x01\x02\x00"
 
 
 def test_a_question_that_is_lost_as_well_is_asked_again(group, slaves, wire):
@@ -240,8 +240,8 @@ def test_by_the_clock_a_master_that_slept_past_the_window_reads_what_waits_for_i
     """Window 9 ms. Who wakes in time finds the window over; who was stalled finds the answers in its queue."""
     bus = HeldUp(asleep_s, [Message(arbitration_id=0x181, data=bytes(8)), Message(arbitration_id=0x182, data=bytes(8))])
     monkeypatch.setattr("drives.epoch.time", SimpleNamespace(monotonic=lambda: bus.now_s))
-    collector = EpochCollector(bus, [(0x181, 8), (0x182, 8)])  # type: ignore[arg-type]
-    frames = collector.collect_within(0.009, 0.0, 0.0)
+    collector = EpochCollector(bus, [(0x181, 8), (0x182, 8)], 0.009)  # type: ignore[arg-type]
+    frames = collector.collect(0.0, 0.0)
     assert (None not in frames) == is_complete
     assert bus.now_s <= asleep_s + 0.009
 

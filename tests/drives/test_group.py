@@ -147,7 +147,7 @@ def test_restore_puts_back_what_was_there_also_after_a_crash(bus, slaves, setups
     with DriveGroup(bus, setups(6), PERIOD_S, options=options) as later:
         later.connect()
         later.restore()
-        assert later.ledger.entries == ()
+        assert later.nodes.ledger.entries == ()
     for slave, old in zip(slaves, before, strict=True):
         changed = {key: (old[key], value) for key, value in slave.values.items() if value != old[key]}
         assert {key for key in changed if not (0x1600 <= key[0] < 0x1C00 and key[1] > old[key[0], 0])} == set()
@@ -195,11 +195,11 @@ def test_a_drive_in_fault_is_refused_and_not_reset(group, slaves):
 
 def test_a_fault_is_reset_only_when_a_person_says_so(group, slaves):
     slaves[2].state = "fault"
-    group.reset_fault(3)
+    group.drives[2].reset_fault()
     assert slaves[2].state == "switch on disabled"
     slaves[2].state, slaves[2].stuck_in = "fault", "fault"
     with pytest.raises(DriveFault, match="still in FAULT"):
-        group.reset_fault(3)
+        group.drives[2].reset_fault()
 
 
 def test_a_drive_may_take_a_moment_to_leave_fault(group, slaves, wire):
@@ -218,7 +218,7 @@ def test_a_drive_may_take_a_moment_to_leave_fault(group, slaves, wire):
 
     slave.obeys = slowly
     slave.get = lambda address, get=slave.get: statusword() if address == (0x6041, 0) else get(address)
-    group.reset_fault(3)
+    group.drives[2].reset_fault()
     assert slave.state == "switch on disabled"
     assert wire.now_s - reset_s[0] < 0.5
 
@@ -384,7 +384,7 @@ def test_torque_offset_is_sent_in_per_mille_of_the_rated_torque(group, slaves):
 
 
 def test_every_write_is_in_the_ledger_with_the_old_value(group, slaves):
-    ledger = {(entry.node_id, entry.index, entry.subindex): entry for entry in group.ledger.entries}
+    ledger = {(entry.node_id, entry.index, entry.subindex): entry for entry in group.nodes.ledger.entries}
     assert ledger[1, 0x6007, 0].old == 1
     assert ledger[1, 0x6007, 0].new == 3
     assert ledger[1, 0x1800, 1].old == 0x40000181
@@ -469,7 +469,7 @@ def test_a_mapping_that_is_shifted_is_found_before_anything_moves(group, slaves,
 
 def test_only_what_the_profile_allows_is_written(group, slaves):
     with pytest.raises(ConfigurationRefused, match="6073:00.*does not allow"):
-        group.access[0].write(OBJECTS["max_current"], 100, "test")
+        group.nodes.access[0].write(OBJECTS["max_current"], 100, "test")
     assert 0x6073 not in {index for index, _, _ in slaves[0].written}
 
 

@@ -11,10 +11,13 @@ import can
 import canopen
 import pytest
 
-from drives.bus import BusSpec, open_bus
+from drives import bringup
+from drives.bus import Bus, BusSpec, open_bus
 from drives.errors import ConfigurationRefused, DriveError, IdentityMismatch, NodeMissing
 from drives.instrument import Instrument, InstrumentSetup
 from drives.ledger import WriteLedger
+from drives.nodes import GroupOptions, Nodes
+from drives.values import AxisSetup
 from sim.measuring import FakeMeasuringDevice, MeasuringSite
 
 SETUP = InstrumentSetup(21, 0x9130, "i32", (1, 2, 3), 1e-6, status_index=0x6150)
@@ -49,13 +52,11 @@ def ends() -> Iterator[tuple[str, FakeMeasuringDevice]]:
     bus.shutdown()
 
 
-def opened(channel: str, setup: InstrumentSetup, act: Callable[[Instrument], object]) -> object:
-    with open_bus(BusSpec("virtual", channel)) as bus:
-        instrument = Instrument(bus, setup, WriteLedger())
-        try:
-            return act(instrument)
-        finally:
-            instrument.close()
+def nodes_with(bus: Bus, setup: InstrumentSetup, setups: Callable[[int], list[AxisSetup]]) -> Nodes:
+    """A measuring device that answers, without the drives."""
+    nodes = Nodes(bus, setups(1), 0.004, options=GroupOptions(instruments=(setup,)))
+    nodes.instruments = (Instrument(bus, setup, nodes.ledger),)
+    return nodes
 
 
 def test_values_then_status_fill_frames_of_eight_bytes() -> None:
@@ -67,7 +68,8 @@ def test_values_then_status_fill_frames_of_eight_bytes() -> None:
 def test_a_reading_is_of_one_sync_or_there_is_none(ends: tuple[str, FakeMeasuringDevice]) -> None:
     first, second = struct.pack("<ii", 20000, -5), struct.pack("<iBBB", 7, 0, 0, 0)
 
-    def decode(instrument: Instrument) -> None:
+    with open_bus(BusSpec("virtual", ends[0])) as bus:
+        instrument = Instrument(bus, SETUP, WriteLedger())
         reading = instrument.decode(9, [b"", first, second], 1)
         assert reading is not None
         assert (reading.sync_index, reading.raw) == (9, (20000, -5, 7))
@@ -78,16 +80,15 @@ def test_a_reading_is_of_one_sync_or_there_is_none(ends: tuple[str, FakeMeasurin
         assert invalid is not None
         assert invalid.values == (pytest.approx(0.02), None, None)
 
-    opened(ends[0], SETUP, decode)
+        instrument.close()
 
 
-def test_what_is_mapped_is_what_the_device_sends(ends: tuple[str, FakeMeasuringDevice]) -> None:
+def test_what_is_mapped_is_what_the_device_sends(ends: tuple[str, FakeMeasuringDevice], setups) -> None:
     channel, device = ends
     with open_bus(BusSpec("virtual", channel)) as bus:
-        instrument = Instrument(bus, SETUP, ledger := WriteLedger())
-        instrument.identify()
-        instrument.survey()
-        instrument.configure(0.004)
+        nodes = nodes_with(bus, SETUP, setups)
+        (instrument,), ledger = nodes.instruments, nodes.ledger
+        bringup.configure(nodes)
         frames: dict[int, bytes] = {}
         for can_id, _ in instrument.answers:
             bus.subscribe(can_id, lambda can_id, data, _time_s: frames.__setitem__(can_id, bytes(data)))
@@ -98,9 +99,9 @@ def test_what_is_mapped_is_what_the_device_sends(ends: tuple[str, FakeMeasuringD
         assert reading is not None
         assert reading.values == (pytest.approx(1e-3), pytest.approx(2e-3), None)
         assert ledger.of_node(21)
-        assert instrument.access.restore() == []
+        nodes.restore()
         assert not ledger.of_node(21)
-        instrument.close()
+        nodes.close()
     assert not any(tpdo.enabled for tpdo in device.tpdos)
 
 
@@ -110,24 +111,26 @@ def test_what_is_mapped_is_what_the_device_sends(ends: tuple[str, FakeMeasuringD
         (InstrumentSetup(21, 0x9130, "i32", (1,), 1e-5), ConfigurationRefused, "the cell 1e-05 per bit"),
         (InstrumentSetup(21, 0x9130, "i32", (1,), 1e-6, unit=0x02), ConfigurationRefused, "says unit 0xfa010000"),
         (InstrumentSetup(21, 0x7130, "i16", (1,), 1e-6), DriveError, "object does not exist"),
-        (InstrumentSetup(22, 0x9130, "i32", (1,), 1e-6), NodeMissing, "no device answers"),
     ],
 )
 def test_a_device_that_does_not_fit_is_refused(
-    ends: tuple[str, FakeMeasuringDevice], setup: InstrumentSetup, kind: type[DriveError], said: str
+    ends: tuple[str, FakeMeasuringDevice], setups, setup: InstrumentSetup, kind: type[DriveError], said: str
 ) -> None:
-    def act(instrument: Instrument) -> None:
-        instrument.identify()
-        instrument.configure(0.004)
-
-    with pytest.raises(kind, match=said):
-        opened(ends[0], setup, act)
+    with open_bus(BusSpec("virtual", ends[0])) as bus, pytest.raises(kind, match=said):
+        bringup.configure(nodes_with(bus, setup, setups))
 
 
-def test_another_kind_of_device_is_refused(ends: tuple[str, FakeMeasuringDevice]) -> None:
+def test_a_missing_device_and_another_kind_of_device_are_refused(ends: tuple[str, FakeMeasuringDevice], setups) -> None:
     ends[1].store.constant((0x1000, 0), "u32", 0x0002_0192)
-    with pytest.raises(IdentityMismatch, match="not a CiA 404"):
-        opened(ends[0], SETUP, Instrument.identify)
+    absent = InstrumentSetup(22, 0x9130, "i32", (1,), 1e-6)
+    with open_bus(BusSpec("virtual", ends[0])) as bus:
+        nodes = Nodes(bus, setups(1), 0.004, options=GroupOptions(instruments=(SETUP, absent)))
+        bringup.connect_for_restore(nodes)
+        assert nodes.all == ()
+    failures = {failure.node: failure for failure in nodes.failures_found}
+    assert "not a CiA 404" in str(failures[21])
+    assert isinstance(failures[21], IdentityMismatch)
+    assert isinstance(failures[22], NodeMissing)
 
 
 def test_nine_channels_do_not_fit() -> None:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drives.discovery import matching_profiles
 from drives.errors import ProfileError
-from drives.probe import matching_profiles
 from drives.profile_file import PROFILE_FOLDER, list_profiles, load_profile, parse_profile, profile_schema
 from drives.scaling import Constants, motor_scale
 from drives.toml_text import parse_toml

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import can
 import pytest
 
+from drives import bringup
 from drives.bus import Bus, BusSpec
 from drives.configuration.applying import NodeWrites, write_all
 from drives.errors import ConfigurationRefused, DriveError, IdentityMismatch
@@ -249,10 +250,11 @@ def test_a_missing_drive_does_not_keep_the_others_from_being_put_back(add_slaves
     run(group_of(nodes=(1, 2)))
     slaves[1].alive = False
     with group_of(nodes=(1, 2)) as group:
-        (absent,) = group.connect_for_restore()
+        bringup.connect_for_restore(group.nodes)
+        (absent,) = group.nodes.failures_found
         assert absent.node == 2
         group.restore()
-        assert {entry.node_id for entry in group.noted} == {2}
+        assert {entry.node_id for entry in group.nodes.noted} == {2}
     assert slaves[0].values[0x6007, 0] == 1
 
 
@@ -300,3 +302,38 @@ def test_a_pipe_is_not_turned_into_a_file(tmp_path):
         replace_file(tmp_path / "pipe", "text")
     assert (tmp_path / "pipe").is_fifo()
     assert [each.name for each in tmp_path.iterdir()] == ["pipe"]
+
+
+def test_a_drive_without_serial_number_at_a_renamed_adapter_is_refused_until_a_person_identifies_it(
+    wire, generic, path, drive
+):
+    """Its lowered torque limit would count as its original; an equal drive that was never written is not concerned."""
+    slave = drive(serial=0)
+
+    def at(channel: str, action: Callable[[DriveGroup], object]) -> None:
+        with Bus(wire, BusSpec("slcan", channel)) as bus:
+            wire.shutdown = lambda: None
+            setups = [AxisSetup(1, generic, 0.5, 300.0, torque_limit_nm=1.0)]
+            with DriveGroup(bus, setups, 0.01, options=GroupOptions(ledger_path=path)) as group:
+                group.connect()
+                action(group)
+
+    def taken_over(group: DriveGroup) -> None:
+        access = group.drives[0].access
+        access.take_over(group.nodes.ledger.of_other_bus(access.device))
+        group.restore()
+        assert group.nodes.noted == ()
+
+    at("/dev/ttyACM0", DriveGroup.configure)
+    assert slave.values[TORQUE] == 500
+    with pytest.raises(ConfigurationRefused, match=r"holds 0x\w+, which a run wrote over slcan:/dev/ttyACM0"):
+        at("/dev/ttyACM1", DriveGroup.configure)
+    equal = drive(serial=0)
+    at("/dev/ttyACM1", DriveGroup.configure)
+    assert equal.values[TORQUE] == 500
+    at("/dev/ttyACM1", DriveGroup.restore)
+    assert equal.values[TORQUE] == 3000
+    wire.slaves.clear()
+    wire.slaves.append(slave)
+    at("/dev/ttyACM1", taken_over)
+    assert slave.values[TORQUE] == 3000

@@ -11,7 +11,6 @@ from functools import partial
 import can
 import pytest
 
-from drives.bus import Bus, BusSpec
 from drives.drive import DriveCommand
 from drives.epoch import EpochCollector
 from drives.errors import (
@@ -27,6 +26,8 @@ from drives.errors import (
 from drives.group import DriveGroup
 from drives.reactions import DRIVE_RULES
 from drives.values import AxisSetup
+from gateway.data.disk import Disk
+from gateway.data.recording.bus_log import FrameLog
 from tests.drives.conftest import Slave, Wire, prove_quick_stop, release
 
 PERIOD_S = 0.01
@@ -432,10 +433,10 @@ def test_a_drive_left_energised_is_disabled_once_its_standstill_was_read_and_its
     with DriveGroup(bus, setups(1), 0.01, "real") as group:
         group.connect()
         group.restore()
-        (text,) = group.taken_down
+        (text,) = group.nodes.taken_down
         assert f"node 1: was in {state.replace('quick stop', 'quick stop active').upper()}" in text
         group.restore()
-        assert group.taken_down == ()
+        assert group.nodes.taken_down == ()
     assert slave.state == "switch on disabled"
     assert not slave.off_rad_s
     assert slave.controlwords[0] == (0x02 if state == "operation enabled" else 0x00)
@@ -698,7 +699,7 @@ def test_any_exception_is_recorded_and_the_stop_of_all_axes_goes_on(
     failing = ["exchange", "quick_stop", "disable", "close"]
     for name in failing:
         if name == stage:
-            monkeypatch.setattr(EpochCollector, "collect_within", fails)
+            monkeypatch.setattr(EpochCollector, "collect", fails)
         with contextlib.suppress(DriveError, *([type(error)] if name == "exchange" else [])):
             move(group) if name == "exchange" else getattr(group, name)()
     assert {slave.state for slave in slaves} == {"switch on disabled"}
@@ -720,26 +721,22 @@ def test_a_notice_to_the_other_arm_that_fails_does_not_keep_this_one_from_stoppi
 
 
 @pytest.mark.parametrize("suffix", ["log", "blf", "asc"])
-def test_a_frame_log_on_a_full_disk_neither_ends_a_motion_nor_a_stop(wire, slaves, setups, tmp_path, suffix):
+def test_a_frame_log_on_a_full_disk_neither_ends_a_motion_nor_a_stop(group, slaves, tmp_path, suffix):
     for slave in slaves:
-        slave.supervises = True
         slave.moves_in = {"quick stop": [50, 30, 10]}
     trace = tmp_path / f"trace.{suffix}"
     trace.symlink_to("/dev/full")
-    bus = Bus(wire, BusSpec("test", "wire"), trace)
-    group = DriveGroup(bus, setups(6), PERIOD_S, "real")
-    group.connect()
-    group.configure()
-    group.enable()
-    bus.log.close()  # what waits is written: it fails
-    assert bus.log.failure is not None
+    with Disk() as disk:
+        log = FrameLog(disk, trace)
+        group.bus.add_tap(log.take)
+        move(group, 3)
+        log.close()  # what waits is written: it fails
+    assert log.failure is not None
     move(group, 200)
     group.quick_stop()
     assert {slave.state for slave in slaves} == {"quick stop"}
     group.disable()
     assert {slave.state for slave in slaves} == {"switch on disabled"}
-    group.close()
-    bus.close()
 
 
 @pytest.mark.parametrize("object_index", [0x1016, 0x6064])

@@ -244,11 +244,11 @@ def test_an_axis_whose_interpolation_period_was_left_at_another_one_is_not_enabl
     with DriveGroup(bus, setups(2), PERIOD_S, "real") as group:
         group.connect()
         group.configure()
-        set_interpolation_period(group.drives[1].access, 0.010)
+        set_interpolation_period(group.drives[1], 0.010)
         with pytest.raises(ConfigurationRefused, match=r"node 2:60C2.*interpolates over 0\.01 s.*every 0\.004 s"):
             group.enable()
         assert not any(slave.state == "operation enabled" for slave in slaves)
-        set_interpolation_period(group.drives[1].access, PERIOD_S)
+        set_interpolation_period(group.drives[1], PERIOD_S)
         group.configure()
         group.enable()
 
@@ -262,7 +262,7 @@ def test_a_slave_with_tpdo3_on_at_5_khz(bus, slaves, setups, pacing):
     for _ in range(20):
         group.hold()
     assert bus.counts["unclaimed"] == before
-    assert group.left_pdos == ()
+    assert tuple(map(str, group.nodes.left_pdos)) == ()
     group.disable()
     group.restore()
     group.close()

@@ -6,8 +6,8 @@ import can
 import numpy as np
 import pytest
 
+from drives.frame_log import RECEIVED
 from gateway.data.blackbox.box import read_box
-from gateway.data.blackbox.part import RECEIVED
 from gateway.data.blackbox.ring_buffer import box_of, folder_of
 
 pytestmark = pytest.mark.system

@@ -11,8 +11,9 @@ import sys
 import can
 import pytest
 
+from drives.bringup import steps
+from drives.discovery import ScanResult
 from drives.heartbeat import NmtState
-from drives.probe import ScanResult
 from drives.values import Identity
 from gateway.data.recording.reader import read
 from sim.serve import running
@@ -28,8 +29,9 @@ def test_scan_and_check_of_a_healthy_cell(place, gateway, serve):
     nodes = json.loads(done.stdout)["nodes"]
     assert [node["node_id"] for node in nodes] == [1, 2, 3, 4, 5, 6]
     assert all("generic-cia402" in node["profiles"] and node["devices"] == 1 for node in nodes)
-    done = gateway("check", place.cell, "--bus", drives.bus, "--json", "-")
+    done = gateway("check", place.cell, "--bus", drives.bus, "--json", "-", "-v")
     assert done.exit_code == 0, done.output
+    assert all(step in done.output for step in steps())
     findings = json.loads(done.stdout)["findings"]
     assert {finding["severity"] for finding in findings} <= {"ok", "info"}
     assert any(finding["where"] == "bus" for finding in findings)
@@ -68,7 +70,7 @@ def test_scan_names_an_id_that_two_devices_share(gateway, serve):
 def test_scan_names_a_node_whose_identity_cannot_be_read(gateway, monkeypatch):
     unresponsive = Identity(3, *[None] * 8)
     found = (ScanResult(unresponsive, 1, NmtState.OPERATIONAL, (), "node 3: no SDO answer within 300 ms"),)
-    monkeypatch.setattr("drives.probe.scan", lambda bus, listen_s: found)
+    monkeypatch.setattr("drives.discovery.scan", lambda bus, listen_s: found)
     done = gateway("scan", "--bus", "virtual:unanswered", "--json", "-")
     assert done.exit_code == 4
     assert "node 3 answers, but its identity cannot be read: node 3: no SDO answer" in done.stderr

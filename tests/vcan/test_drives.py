@@ -16,9 +16,9 @@ import pytest
 from benchmarks.chaos.killing import few_samples
 from benchmarks.chaos.processes import Drives, poses
 from drives.bus import BusSpec, open_bus
+from drives.discovery import probe
 from drives.errors import ForeignMaster
 from drives.group import DriveGroup, GroupOptions
-from drives.probe import probe
 from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.session import RecordRequest, record
 from gateway.data.recording.reader import read

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gateway.acquire.events import Listener, Narrowed
 from gateway.acquire.plan import SIDES
-from gateway.acquire.run_loop import MotionSource, run_motions
-from gateway.acquire.session import RecordingSummary, keeping
-from gateway.acquire.station import VisitStation, VisitStore
+from gateway.acquire.run_loop import MotionSource
+from gateway.acquire.session import RecordingSummary, record_motions
 from gateway.acquire.until.messages import ended, narrowed
 from gateway.acquire.until.search import LoadSearch, NextStep, decide
 from gateway.data.recording.recorded import ArmRecording, Recording
@@ -25,39 +23,6 @@ from gateway.motion.stream import MoveOptions
 Rows = Callable[[Sequence[Visit]], Table]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UntilSummary:
-    """Summary of what a run has added, and the reason of its end.
-
-    Attributes
-    ----------
-    recording : RecordingSummary
-    decision : NextStep
-        The last decision.
-    reason : str
-        Reason of the end, for the operator.
-    """
-
-    recording: RecordingSummary
-    decision: NextStep
-    reason: str
-
-
-class _Collected:
-    """Store that passes visits on and remembers them."""
-
-    def __init__(self, store: VisitStore) -> None:
-        self._store = store
-        self.visits: list[Visit] = []
-        self.written, self.trouble, self.flush = store.written, store.trouble, store.flush
-
-    def add(self, arm: str, visit: Visit) -> Visit:
-        """Pass a visit on."""
-        stored = self._store.add(arm, visit)
-        self.visits.append(stored)
-        return stored
-
-
 def record_until(
     opened: OpenArm,
     search: LoadSearch,
@@ -65,7 +30,7 @@ def record_until(
     earlier: Recording | None,
     listeners: Sequence[Listener] = (),
     options: MoveOptions | None = None,
-) -> UntilSummary:
+) -> tuple[RecordingSummary, NextStep]:
     """Measure a load pose by pose until its uncertainty is small enough or no pose helps; then apply the brakes.
 
     Parameters
@@ -78,15 +43,20 @@ def record_until(
     listeners : sequence of Listener
     options : MoveOptions, optional
 
+    Returns
+    -------
+    RecordingSummary, NextStep
+        What was added, and the last decision.
+
     Raises
     ------
     InputError, PlanRefused, DriveError, KeyboardInterrupt
-        As `record`.
+        As `record_motions`.
     """
-    with keeping(opened, path, earlier) as kept:
-        decision = run_until(kept.station(listeners, options), search, rows_of(opened, path))
-        kept.reason = ended(decision, search.label)
-    return UntilSummary(kept.summary(search.label, 0), decision, kept.reason)
+    decisions: list[NextStep] = []
+    motions = chosen_poses(search, rows_of(opened, path), opened.arm.where(), decisions)
+    summary = record_motions(opened, motions, search.label, path, earlier, listeners=listeners, options=options)
+    return summary, decisions[-1]
 
 
 def rows_of(opened: OpenArm, path: Path) -> Rows:
@@ -100,28 +70,27 @@ def rows_of(opened: OpenArm, path: Path) -> Rows:
     return rows
 
 
-def run_until(station: VisitStation, search: LoadSearch, rows: Rows) -> NextStep:
-    """Drive the poses that the search decides; the estimate is computed while the arm is at rest.
+def chosen_poses(search: LoadSearch, rows: Rows, at_rad: np.ndarray, decisions: list[NextStep]) -> MotionSource:
+    """Yield the poses that the search decides on; the estimate is computed while the arm is at rest.
 
-    Raises
-    ------
-    PlanRefused, LimitExceeded, DriveError, InputError, KeyboardInterrupt
-        As `run_motions`.
+    Parameters
+    ----------
+    search : LoadSearch
+    rows : Rows
+    at_rad : array of shape (N,)
+        Present posture.
+    decisions : list of NextStep
+        Every decision is added.
     """
-    decision = decide(search, None, station.arm.where())
-    if decision.plan is None:
-        return decision
-    collected = _Collected(station.store)
-    station = replace(station, store=collected)
-
-    def motions() -> MotionSource:
-        nonlocal decision
-        while decision.plan is not None:
-            stream = yield decision.plan, decision.expected_s
-            at_rad = np.array(stream.q_rad[0])
-            measured = rows([visit for visit in collected.visits if visit.complete])
-            decision = stream.hold_while(lambda table=measured, at=at_rad: decide(search, table, at), "estimate")
-            station.notify(Narrowed(search.label, decision.verdict.poses, narrowed(decision)))
-
-    run_motions(station, motions(), search.label, len(SIDES) * max(decision.verdict.ahead, 1))
-    return decision
+    visits: list[Visit] = []
+    decision = decide(search, None, at_rad)
+    decisions.append(decision)
+    while decision.plan is not None:
+        further = len(SIDES) * max(decision.verdict.ahead - 1, 0)
+        run = yield decision.plan, decision.expected_s, further
+        visits += run.measured
+        measured, at_rad = rows(visits), np.array(run.stream.q_rad[0])
+        decision = run.stream.hold_while(lambda table=measured, at=at_rad: decide(search, table, at), "estimate")
+        decisions.append(decision)
+        run.notify(Narrowed(search.label, decision.verdict.poses, narrowed(decision)))
+    return ended(decision, search.label)

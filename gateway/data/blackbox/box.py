@@ -13,19 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drives.files import replace_file
-from drives.frame_log import LoggedFrame, write_blf
-from gateway.data.blackbox.part import (
-    ERROR,
-    EXTENDED,
-    FIELDS,
-    FRAME_TYPE,
-    HEAD,
-    RECEIVED,
-    REMOTE,
-    BoxHeader,
-    BoxPart,
-    width_of,
-)
+from drives.frame_log import add_packed, open_log
+from gateway.data.blackbox.part import FIELDS, FRAME_TYPE, HEAD, BoxHeader, BoxPart, width_of
 from gateway.data.recording.hdf5_text import open_recording
 from gateway.data.recording.seal import refuse_damaged, sealed
 from gateway.errors import InputError
@@ -83,7 +72,7 @@ def write_box(path: Path, header: BoxHeader, parts: Sequence[BoxPart], reason: s
     width = width_of(sum(axes for _, axes in header.arms))
     rows = np.concatenate([np.empty((0, width)), *(part.rows for part in parts if part.rows.shape[1] == width)])
     frames = np.concatenate([np.empty(0, FRAME_TYPE), *(part.frames for part in parts)])
-    with h5py.File("in-memory", "w", driver="core", backing_store=False) as file:
+    with h5py.File(f"{path} in memory", "w", driver="core", backing_store=False) as file:
         file.attrs["schema"], file.attrs["kind"] = SCHEMA, "black box"
         file.attrs["recording"], file.attrs["reason"] = header.recording.name, reason.replace("\0", "")
         file.attrs["created"], file.attrs["software"], file.attrs["cell"] = header.created, header.software, header.cell
@@ -103,18 +92,12 @@ def write_box(path: Path, header: BoxHeader, parts: Sequence[BoxPart], reason: s
         file.flush()
         content = sealed(file.id.get_file_image())
     replace_file(path, content)
-    write_blf(path.with_suffix(".blf"), map(_logged, frames.tolist()))
+    with open_log(path.with_suffix(".blf")) as log:
+        add_packed(log, frames.tobytes(), 0)
 
 
 def _dataset(group: h5py.Group, name: str, values: np.ndarray, unit: str) -> None:
     group.create_dataset(name, data=values).attrs["unit"] = unit
-
-
-def _logged(frame: tuple[float, int, int, int, Sequence[int]]) -> LoggedFrame:
-    time_s, can_id, flags, length, data = frame
-    kind = "error" if flags & ERROR else "remote" if flags & REMOTE else "data"
-    content = b"" if kind == "remote" else bytes(data)[:length]
-    return LoggedFrame(time_s, can_id, content, bool(flags & RECEIVED), kind, bool(flags & EXTENDED), length, 0)
 
 
 def read_box(path: Path) -> BlackBox:

@@ -13,13 +13,13 @@ from drives.abort import ABORT_CODES
 from drives.bus import EMCY_BASE, HEARTBEAT_BASE, NMT_ID, SDO_ANSWER_BASE, SDO_REQUEST_BASE, SYNC_ID
 from drives.cia402 import State, decode_state
 from drives.emcy import parse_emergency
+from drives.frame_log import ERROR, EXTENDED, RECEIVED, REMOTE
 from drives.heartbeat import NmtCommand, NmtState
 from drives.objects import OBJECTS
 from drives.profile import DriveProfile
 from drives.profile_file import list_profiles, load_profile
 from gateway.cell.config import parse_cell
 from gateway.data.blackbox.box import BlackBox
-from gateway.data.blackbox.part import ERROR, EXTENDED, RECEIVED, REMOTE
 from gateway.errors import ConfigError
 
 #: TPDO1 begins with the statusword, RPDO1 with the controlword: `drives.pdo`.

@@ -6,6 +6,7 @@ The motion loop packs each value when it is taken, so that sending a part only c
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,15 +14,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-MAGIC: Final = b"SGBB"
-#: Rows, width of a row, frames, and at its end: time of the run [s], wall clock [s].
-_HEAD: Final = struct.Struct("<4sIIIdd")
-#: Wall clock [s], CAN id, flags, length, content.
-FRAME: Final = struct.Struct("<dIBB8s")
+#: Rows, width of a row, and at the end of the part: time of the run [s], wall clock [s].
+_HEAD: Final = struct.Struct("<IIdd")
+_CHECKSUM: Final = struct.Struct("<I")
+#: `FRAME` for numpy; its time is the wall clock [s].
 FRAME_TYPE: Final = np.dtype(
     [("time_s", "<f8"), ("can_id", "<u4"), ("flags", "u1"), ("length", "u1"), ("data", "u1", 8)]
 )
-RECEIVED, EXTENDED, REMOTE, ERROR = 1, 2, 4, 8
 #: Columns before those of the axes.
 HEAD: Final = ("wall_s", "time_s", "sync_index")
 #: Per axis: name and unit; NaN where a drive did not answer or sends no such word.
@@ -83,20 +82,26 @@ class BoxPart:
     wall_s: float
 
 
+def with_checksum(content: bytes) -> bytes:
+    """Return a content with its checksum before it."""
+    return _CHECKSUM.pack(zlib.crc32(content, 1)) + content
+
+
+def checked(content: bytes) -> bytes | None:
+    """Return the content without its checksum; None if it is truncated or changed."""
+    rest = content[_CHECKSUM.size :]
+    return rest if with_checksum(rest) == content else None
+
+
 def pack(rows: NDArray[np.float64], frames: bytes | bytearray, time_s: float, wall_s: float) -> bytes:
     """Return the bytes of a part; `frames` are packed by `FRAME`."""
-    head = _HEAD.pack(MAGIC, len(rows), rows.shape[1], len(frames) // FRAME.size, time_s, wall_s)
-    return head + rows.tobytes() + frames
+    return _HEAD.pack(len(rows), rows.shape[1], time_s, wall_s) + rows.tobytes() + frames
 
 
-def unpack(content: bytes) -> BoxPart | None:
-    """Decode the bytes of a part; return None if they are truncated."""
-    if len(content) < _HEAD.size or content[:4] != MAGIC:
-        return None
-    _, rows, width, frames, time_s, wall_s = _HEAD.unpack_from(content)
+def unpack(content: bytes) -> BoxPart:
+    """Decode the bytes of a part."""
+    rows, width, time_s, wall_s = _HEAD.unpack_from(content)
     end = _HEAD.size + 8 * rows * width
-    if len(content) != end + FRAME.size * frames:
-        return None
     return BoxPart(
         np.frombuffer(content[_HEAD.size : end], dtype="<f8").reshape(rows, width),
         np.frombuffer(content[end:], dtype=FRAME_TYPE),

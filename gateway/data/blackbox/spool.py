@@ -6,8 +6,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from gateway.data.blackbox.recovery import recover_box
-from gateway.data.blackbox.ring_buffer import BOX_SUFFIX, recording_of
+from gateway.data.blackbox.ring_buffer import BOX_SUFFIX, recording_of, recover_box
 
 #: Boxes of one arm that stay: each holds half a minute, some megabytes.
 MOST_BOXES: Final = 10

@@ -6,7 +6,8 @@ The file is built in memory, so that the file on disk is always complete: the la
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ import numpy as np
 from drives.files import replace_file
 from drives.scaling import Constants
 from gateway.data.period import Measured, Period
-from gateway.data.recording.reader import SCHEMA, Recording
+from gateway.data.recording.lock import sole_writer
+from gateway.data.recording.reader import SCHEMA, Recording, read
 from gateway.data.recording.seal import sealed
 from gateway.data.rest_pose import RestPose
 from gateway.data.visit import NO_WORD, Visit
@@ -27,6 +29,8 @@ from gateway.errors import InputError
 Write = Callable[[Path, bytes], None]
 #: What to do where a recording would be replaced.
 NOT_REPLACED = "continue it with --resume, or choose another name"
+#: How long the writer of a run that was killed may still be busy with what it was given [s].
+PATIENCE_S = 20.0
 UNFINISHED = "not finished: still running, or killed"
 
 #: dataset -> (field of Visit and of Period, unit)
@@ -144,7 +148,8 @@ class RecordingWriter:
         if earlier is None and path.exists():
             raise InputError(f"{path} exists; {NOT_REPLACED}")
         refuse_other_cell(earlier, header.cell)
-        self._file = h5py.File("in-memory", "w", driver="core", backing_store=False)
+        # in memory; the name must differ from those of other files that the process has open
+        self._file = h5py.File(f"{path} in memory", "w", driver="core", backing_store=False)
         if earlier is not None:
             with h5py.File(path, "r") as source:
                 source.copy("arms", self._file)
@@ -201,17 +206,20 @@ class RecordingWriter:
         return stored
 
     def store(self, arm: str, visit: Visit | Period) -> None:
-        """Store a visit or a period that has its number, and write the file.
+        """Store a visit or a period that has its number, and write the file; nothing if the file holds it already.
 
         Raises
         ------
         InputError
             The file cannot be written; the previous version is unchanged, and the next write includes this visit.
         """
+        group = self._arms.require_group(f"{arm}/{'periods' if isinstance(visit, Period) else 'visits'}")
+        if (name := f"{visit.number:04d}") in group:
+            return
         if isinstance(visit, Period):
-            _write_period(self._arms.require_group(f"{arm}/periods").create_group(f"{visit.number:04d}"), visit)
+            _write_period(group.create_group(name), visit)
         else:
-            _write_visit(self._arms.require_group(f"{arm}/visits").create_group(f"{visit.number:04d}"), visit)
+            _write_visit(group.create_group(name), visit)
         self._save("abort", UNFINISHED)
         self.visits += 1
 
@@ -236,6 +244,27 @@ class RecordingWriter:
         self._file.attrs["reason"] = reason.replace("\0", "")
         self._file.flush()
         self._write(self.path, sealed(self._file.id.get_file_image()))
+
+
+@contextmanager
+def open_recording(
+    path: Path, header: RecordingHeader, arm: ArmHeader, earlier: Recording | None, write: Write, again: bool
+) -> Generator[RecordingWriter]:
+    """Open a recording in the process that writes it (a kind of `Disk.open`); it has no other writer meanwhile.
+
+    `again`: the process that wrote it before has ended, and the file holds what was written until then.
+
+    Raises
+    ------
+    InputError
+        As `RecordingWriter`, or another run is writing it.
+    """
+    with sole_writer(path, PATIENCE_S):
+        if again and path.exists():
+            earlier = read(path)
+        with closing(RecordingWriter(path, header, earlier, write)) as writer:
+            writer.begin(arm)
+            yield writer
 
 
 def write_recording(path: Path, content: bytes) -> None:

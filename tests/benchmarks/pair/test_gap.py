@@ -120,7 +120,7 @@ def test_sensors_that_fail_stop_both_arms_along_the_path_and_a_gap_outside_its_r
 ) -> None:
     with gap_rig(0) as rig:
         run = rig.run("E5", FAST)
-        kinds = kinds_of(run.motion.stream.station.options.desk)
+        kinds = kinds_of(run.motion.stream.options.desk)
         harm(rig)
         with pytest.raises(PairStopped, match=said):
             rig.power.attempt(run.cycle)

@@ -11,7 +11,6 @@ from benchmarks.pair.bus_rig import NO_LIMIT_N, PairRig, pair_rig
 from drives.errors import DriveError
 from gateway.errors import PlanRefused
 from gateway.motion.power import powered
-from gateway.motion.stream import Stream
 from gateway.pair.embodiments import EMBODIMENTS, with_gains
 from gateway.pair.pair_motion import PairMotion, PairMotionOptions, PairStopped, refuse_elsewhere
 from gateway.pair.pair_run import PairRun
@@ -147,7 +146,7 @@ def test_teaching_goes_on_where_it_ended() -> None:
         taught, saved = TaughtPath("path", "cell"), []
         for count in (1, 2):
             options = PairMotionOptions(force_limit_n=NO_LIMIT_N)
-            stream = Stream(rig.link.station(rig.cell, options.moves))
+            stream = rig.link.stream(rig.cell, options.moves)
             teacher = Teacher(PairMotion(rig.cell, stream, options), cell_gains(rig.cell), rule)
             with powered(stream):
                 teacher.run(taught, indices[:count], lambda _taught, point: saved.append(point.command - 1))

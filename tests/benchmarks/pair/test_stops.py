@@ -23,6 +23,7 @@ from benchmarks.chaos.part_pair_stops import stopped
 from benchmarks.chaos.programs import TRIES, disturbed, undisturbed
 from benchmarks.pair.bus_rig import CELL, NO_LIMIT_N, PairRig, inline_rig
 from drives.errors import CommandRefused
+from drives.files import read_sealed, write_sealed
 from gateway.cli import main
 from gateway.data.blackbox.box import read_box
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
@@ -95,7 +96,7 @@ def test_a_stop_along_the_path_keeps_the_relation() -> None:
 def test_drives_are_disabled_when_the_joints_no_longer_catch_up() -> None:
     with inline_rig(0) as rig:
         run = rig_at_rest(rig)
-        at_time(rig, 1.5, lambda: run.motion.stream.station.options.desk.ask(StoppedByPerson("stopped")))
+        at_time(rig, 1.5, lambda: run.motion.stream.options.desk.ask(StoppedByPerson("stopped")))
         fastest: list[float] = []
 
         def note(_time_s: float) -> None:
@@ -114,7 +115,7 @@ def test_drives_are_disabled_when_the_joints_no_longer_catch_up() -> None:
 def test_a_second_wish_is_a_quick_stop_of_all_twelve() -> None:
     with inline_rig(0) as rig:
         run, left = rig_at_rest(rig), []
-        desk, period_s = run.motion.stream.station.options.desk, rig.cell.sync_period_s
+        desk, period_s = run.motion.stream.options.desk, rig.cell.sync_period_s
         asked: list[float] = []
 
         def quickly() -> None:
@@ -135,7 +136,7 @@ def test_a_second_wish_is_a_quick_stop_of_all_twelve() -> None:
 def test_a_force_that_still_rises_becomes_a_quick_stop() -> None:
     with inline_rig(0) as rig:
         run = rig_at_rest(rig, "A", 20.0)
-        kinds = kinds_of(run.motion.stream.station.options.desk)
+        kinds = kinds_of(run.motion.stream.options.desk)
         begin_s = rig.world.time_s + 0.9
         pull = np.zeros(12)
 
@@ -155,7 +156,7 @@ def test_a_force_that_still_rises_becomes_a_quick_stop() -> None:
 def test_a_force_that_does_not_rise_any_more_is_no_quick_stop() -> None:
     with inline_rig(0) as rig:
         run = rig_at_rest(rig, "B", 15.0)
-        kinds = kinds_of(run.motion.stream.station.options.desk)
+        kinds = kinds_of(run.motion.stream.options.desk)
         with pytest.raises(PairStopped, match="above 30 N"):
             rig.power.attempt(run.cycle)
     assert kinds == [StopKind.ALONG_PATH]
@@ -180,7 +181,7 @@ def test_a_part_that_is_held_elsewhere_is_detected_during_the_transfer_to_the_st
 def test_an_arm_with_impossible_commands_stops_both() -> None:
     with inline_rig(0) as rig:
         run = rig_at_rest(rig)
-        member = run.motion.stream.station.arms.members[1]
+        member = run.motion.stream.arms.members[1]
         plain = member.command
 
         def jump() -> None:
@@ -279,7 +280,7 @@ def test_ctrl_c_by_the_clock_stops_both_along_the_path(example: Path) -> None:
         simulation.grip(open=True)
         prove([*gateway, "check", str(example), "--prove-stop", "--yes", "--bus", buses], settings)
     for path in example.parent.glob("state/servo-gateway/*-stop.json"):  # as if they had moved: not at a tenth
-        path.write_text(path.read_text().replace('"moved": false', '"moved": true'))
+        write_sealed(path, read_sealed(path) | {"moved": True})
     words = [*gateway, "run-pair", str(example), "--embodiment", "A", "--yes", "--bus", buses]
     before: set[Path] = set()
     for left in reversed(range(TRIES)):

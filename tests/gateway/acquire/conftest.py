@@ -1,11 +1,12 @@
-"""A station that keeps what it measures in memory, and the events of its runs."""
+"""A run that keeps what it measures in memory, and its events."""
 
 from __future__ import annotations
 
 import pytest
 
 from gateway.acquire.events import StateChanged
-from gateway.acquire.station import MemoryStore, VisitStation
+from gateway.acquire.run_loop import Run
+from gateway.acquire.visit_store import MemoryStore
 from gateway.errors import InputError
 
 
@@ -31,9 +32,11 @@ def events() -> list:
 
 
 @pytest.fixture
-def station(arm, workspace, store, events) -> VisitStation:
+def run(arm, workspace, store, events):
+    """Make a run of the arm, with other arguments where they are given."""
+
     def keep(event):
         if not isinstance(event, StateChanged):
             events.append(event)
 
-    return VisitStation(arm, workspace, store, (keep,))
+    return lambda **changes: Run(arm, workspace, **({"store": store, "listeners": (keep,)} | changes))

@@ -10,10 +10,9 @@ import pytest
 
 from drives.errors import DriveFault
 from gateway.acquire.events import PeriodDone, Progress, Started, Stopped
-from gateway.acquire.moving import plan_passes
+from gateway.acquire.moving import driven_passes
 from gateway.acquire.passes import TRIED_SPEED, passes_of
 from gateway.acquire.plan import VisitSettings
-from gateway.acquire.run_loop import motions_of, run_motions
 from gateway.errors import InputError, LimitExceeded, PlanRefused
 from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
@@ -47,16 +46,17 @@ def plan(workspace) -> MovingPlan:
 
 
 @pytest.fixture
-def drive(station, plan, small_cell):
-    """Drive a plan under a load; the station's fields may be replaced."""
+def drive(run, arm, workspace, plan, small_cell):
+    """Drive a plan under a load; what a run is made with may be replaced."""
 
-    def run(load="none", what=plan, driven=NOTHING, **changes):
-        at = replace(station, **changes)
-        passes = passes_of(what, load, driven, at.options.override, PERIOD_S)
-        motions = plan_passes(at, small_cell.cell.arm[0], at.arm.where(), passes, SETTINGS)
-        return run_motions(at, motions_of(motions), load, sum(len(one.periods) for one in passes))
+    def drive(load="none", what=plan, driven=NOTHING, options=None, **changes):
+        options = options or MoveOptions()
+        passes = passes_of(what, load, driven, options.override, PERIOD_S)
+        driving = run(options=options, **changes)
+        driving.execute(driven_passes(arm, workspace, small_cell.cell.arm[0], passes, SETTINGS), load)
+        return driving.missed
 
-    return run
+    return drive
 
 
 def test_every_sync_of_every_period_is_kept(drive, plan, store, events, fake):

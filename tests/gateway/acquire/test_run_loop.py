@@ -8,13 +8,14 @@ import pytest
 from drives.errors import DriveFault, IncompleteEpochs
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.run_loop import run_plan
+from gateway.acquire.run_loop import rest_visits
+from gateway.acquire.visit_store import MemoryStore
 from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
+from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import SAFE, Phase
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
-from gateway.motion.watch import IN_A_ROW
 
 SETTINGS = VisitSettings(
     approach_offset_rad=0.03, approach_speed_rad_s=0.05, settle_timeout_s=2.0, samples=40, period_s=0.01
@@ -26,14 +27,20 @@ POSES = (
 
 
 @pytest.fixture
+def measure(run, arm, workspace):
+    """Measure a plan; what a run is made with may be replaced."""
+    return lambda plan, load="none", done=(), **more: run(**more).execute(rest_visits(plan, arm, workspace, done), load)
+
+
+@pytest.fixture
 def plan(workspace) -> Plan:
     plan, unreachable = plan_poses("main", workspace, POSES, SETTINGS)
     assert not unreachable
     return plan
 
 
-def test_all_poses_are_measured_from_both_sides(station, plan, store, events, fake):
-    run_plan(station, plan, "a")
+def test_all_poses_are_measured_from_both_sides(measure, plan, store, events, fake):
+    measure(plan, "a")
     assert fake.log == ["enable", "disable"]
     assert not fake.enabled
     assert sorted((v.pose, v.approach) for v in store.visits) == [(1, -1), (1, 1), (2, -1), (2, 1)]
@@ -50,11 +57,11 @@ def test_all_poses_are_measured_from_both_sides(station, plan, store, events, fa
     assert not any(isinstance(event, Stopped) for event in events)
 
 
-def test_half_sums_are_gravity_and_half_differences_the_band(station, plan, events, fake):
+def test_half_sums_are_gravity_and_half_differences_the_band(measure, arm, plan, events, fake):
     """Without gear losses: half sum = gravity of the fake, half difference = its band."""
     fake.axes = replace(fake.axes, efficiency=np.ones(6))
-    object.__setattr__(station.arm, "axes", fake.axes)
-    run_plan(station, plan, "none")
+    arm.axes = fake.axes
+    measure(plan)
     done = [event for event in events if isinstance(event, PoseDone)]
     assert sorted(event.pose for event in done) == [1, 2]
     for event in done:
@@ -63,8 +70,8 @@ def test_half_sums_are_gravity_and_half_differences_the_band(station, plan, even
         assert event.friction_band_nm == pytest.approx(fake.band_nm, abs=0.2)
 
 
-def test_motion_keeps_the_limits(station, plan, fake, workspace):
-    run_plan(station, plan, "none")
+def test_motion_keeps_the_limits(measure, plan, fake, workspace):
+    measure(plan)
     path = np.array(fake.path)
     speed = np.diff(path, axis=0) / SETTINGS.period_s
     acceleration = np.diff(speed, axis=0) / SETTINGS.period_s
@@ -73,8 +80,8 @@ def test_motion_keeps_the_limits(station, plan, fake, workspace):
     assert workspace.feasible(path).all()
 
 
-def test_remaining_time_falls_to_zero(station, plan, events):
-    run_plan(station, plan, "none")
+def test_remaining_time_falls_to_zero(measure, plan, events):
+    measure(plan)
     progress = [event for event in events if isinstance(event, Progress)]
     remaining = [event.remaining_s for event in progress]
     assert remaining[0] == pytest.approx(events[0].duration_s)
@@ -83,15 +90,15 @@ def test_remaining_time_falls_to_zero(station, plan, events):
     assert len(progress) > 20
 
 
-def test_done_visits_are_left_out(station, plan, store):
-    run_plan(station, plan, "none", done=((1, -1), (1, 1), (2, -1)))
+def test_done_visits_are_left_out(measure, plan, store):
+    measure(plan, done=((1, -1), (1, 1), (2, -1)))
     assert [(v.pose, v.approach) for v in store.visits] == [(2, 1)]
 
 
-def test_incomplete_epochs_are_sampled_again_and_marked(station, plan, store, events, fake):
+def test_incomplete_epochs_are_sampled_again_and_marked(measure, plan, store, events, fake):
     lost = {sync: sync % 6 for sync in range(5, 20_000, 9)}
     fake.unanswered = lost
-    run_plan(station, plan, "none")
+    measure(plan)
     for visit in store.visits:
         assert len(visit) == SETTINGS.samples
         assert visit.incomplete_epochs > 0
@@ -101,55 +108,53 @@ def test_incomplete_epochs_are_sampled_again_and_marked(station, plan, store, ev
     assert len(repeated) == sum(visit.incomplete_epochs for visit in store.visits)
 
 
-def stopped_by(station, asked, kind=StopKind.ALONG_PATH):
-    """The same station, where an operator stops the arm as soon as `asked` says so."""
-    desk = StopDesk(lambda: StopRequest(kind, StoppedByPerson("a person")) if asked() else None)
-    return replace(station, options=MoveOptions(desk))
+def stopped_by(asked, kind=StopKind.ALONG_PATH) -> MoveOptions:
+    """An operator stops the arm as soon as `asked` says so."""
+    return MoveOptions(StopDesk(lambda: StopRequest(kind, StoppedByPerson("a person")) if asked() else None))
 
 
 def brought_to_rest(fake) -> bool:
     return not fake.enabled and fake.log[-1] == "disable"
 
 
-def test_too_many_incomplete_epochs_give_the_visit_up(station, plan, store, events, fake):
+def test_too_many_incomplete_epochs_give_the_visit_up(measure, plan, store, events, fake):
     fake.unanswered = dict.fromkeys(range(0, 20000, 2), 2)
     with pytest.raises(IncompleteEpochs, match="were not answered by all axes"):
-        run_plan(station, plan, "none")
+        measure(plan)
     assert brought_to_rest(fake)
     assert [visit.complete for visit in store.visits] == [False]
     assert isinstance(events[-1], Stopped)
 
 
-def test_a_pose_that_never_settles(station, plan, store, fake):
+def test_a_pose_that_never_settles(measure, plan, store, fake):
     fake.swing_nm = 3.0
     with pytest.raises(PoseNeverSettles, match="joint 5") as stopped:
-        run_plan(station, plan, "none")
+        measure(plan)
     assert stopped.value.exit_code == 5
     assert stopped.value.joint == 5
     assert brought_to_rest(fake)
     assert store.visits == []
 
 
-def test_contact_stops_by_the_drives_ramp(station, plan, fake, workspace):
+def test_contact_stops_by_the_drives_ramp(measure, plan, fake, workspace):
     fake.contact_nm = {200: 1.2 * workspace.torque_nm[2]}
     with pytest.raises(LimitExceeded, match="joint 3 needs") as stopped:
-        run_plan(station, plan, "none")
+        measure(plan)
     assert stopped.value.joint == 3
-    assert fake.sync_index == 200 + IN_A_ROW - 1
+    assert fake.sync_index == 200 + ARM_RULES["limits"].count - 1
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
-def test_the_state_of_the_cell_is_reported_throughout(station, plan, fake):
+def test_the_state_of_the_cell_is_reported_throughout(measure, plan, fake):
     states = []
-    listening = replace(station, listeners=(states.append,))
-    run_plan(listening, plan, "a")
+    measure(plan, "a", listeners=(states.append,))
     phases = [event.state.phase for event in states if isinstance(event, StateChanged)]
     assert phases[:4] == [Phase.HOLDING, Phase.MOVING, Phase.SETTLING, Phase.SAMPLING]
     assert phases[-2:] == [Phase.STOPPING, Phase.IN_BRAKES]
     states.clear()
     fake.fault_at = fake.sync_index + 100
     with pytest.raises(DriveFault) as failed:
-        run_plan(listening, plan, "a")
+        measure(plan, "a", listeners=(states.append,))
     stopping, stopped = [event.state for event in states if isinstance(event, StateChanged)][-2:]
     assert (stopping.phase, stopped.phase) == (Phase.STOPPING, Phase.STOPPED)
     assert stopped.phase in SAFE
@@ -157,24 +162,24 @@ def test_the_state_of_the_cell_is_reported_throughout(station, plan, fake):
     assert f"SYNC {stopping.sync_index} of this run" in failed.value.__notes__[-1]
 
 
-def test_a_joint_that_does_not_follow(station, plan, fake):
+def test_a_joint_that_does_not_follow(measure, plan, fake):
     fake.jam_at = 60
     with pytest.raises(LimitExceeded, match=r"joint 2 (is .* off its target|was commanded to move by)"):
-        run_plan(station, plan, "none")
+        measure(plan)
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
-def test_drive_fault(station, plan, store, fake):
-    run_plan(replace(station, store=type(station.store)()), plan, "none")
+def test_drive_fault(measure, plan, store, fake):
+    measure(plan, store=MemoryStore())
     syncs = fake.sync_index
     fake.fault_at = syncs + int(0.9 * syncs)
     with pytest.raises(DriveFault):
-        run_plan(station, plan, "none")
+        measure(plan)
     assert fake.log[-2:] == ["quick stop", "disable"]
     assert len(store.visits) >= 2
 
 
-def test_a_wish_to_stop_stops_gently_and_keeps_the_data(station, plan, store, events, fake, workspace):
+def test_a_wish_to_stop_stops_gently_and_keeps_the_data(measure, plan, store, events, fake, workspace):
     visits_before_stop = 2
 
     def asked() -> bool:
@@ -182,7 +187,7 @@ def test_a_wish_to_stop_stops_gently_and_keeps_the_data(station, plan, store, ev
         return len(store.visits) == visits_before_stop and moved
 
     with pytest.raises(KeyboardInterrupt):
-        run_plan(stopped_by(station, asked), plan, "none")
+        measure(plan, options=stopped_by(asked))
     assert fake.log == ["enable", "disable"]
     assert len(store.visits) == visits_before_stop
     speed = np.diff(np.array(fake.path), axis=0) / SETTINGS.period_s
@@ -194,41 +199,41 @@ def test_a_wish_to_stop_stops_gently_and_keeps_the_data(station, plan, store, ev
     assert isinstance(events[-1], Stopped)
 
 
-def test_a_wish_to_stop_while_sampling_keeps_the_samples_marked_incomplete(station, plan, store, fake, events):
+def test_a_wish_to_stop_while_sampling_keeps_the_samples_marked_incomplete(measure, plan, store, fake, events):
     def asked() -> bool:
         return sum(isinstance(e, Progress) and e.what == "sample pose 2" for e in events) == 2
 
     with pytest.raises(KeyboardInterrupt):
-        run_plan(stopped_by(station, asked), plan, "none")
+        measure(plan, options=stopped_by(asked))
     assert brought_to_rest(fake)
     assert not store.visits[-1].complete
     assert 0 < len(store.visits[-1]) < SETTINGS.samples
 
 
-def test_full_disk_stops_the_arm(station, plan, store, fake):
+def test_full_disk_stops_the_arm(measure, plan, store, fake):
     store.full_after = 1
     with pytest.raises(InputError, match="No space left"):
-        run_plan(station, plan, "none")
+        measure(plan)
     assert brought_to_rest(fake)
     assert len(store.visits) == 1
 
 
-def test_a_start_outside_the_limits_is_refused_before_anything_is_enabled(station, plan, fake):
+def test_a_start_outside_the_limits_is_refused_before_anything_is_enabled(measure, plan, fake):
     fake.q_rad = np.array([0.0, 0.0, 0.0, 0.0, 2.5, 0.0])
     with pytest.raises(PlanRefused, match="joint 5 is .* rad outside"):
-        run_plan(station, plan, "none")
+        measure(plan)
     assert fake.log == []
 
 
-def test_an_arm_that_drops_when_its_brakes_open_is_not_moved(station, plan, fake):
+def test_an_arm_that_drops_when_its_brakes_open_is_not_moved(measure, plan, fake):
     fake.drop_on_enable_rad = 0.05
     with pytest.raises(PlanRefused, match="while its brake opened"):
-        run_plan(station, plan, "none")
+        measure(plan)
     assert brought_to_rest(fake)
     assert len(fake.path) == 1
 
 
-def test_errors_while_stopping_are_added_not_hidden(station, plan, fake):
+def test_errors_while_stopping_are_added_not_hidden(measure, plan, fake):
     def broken() -> None:
         fake.log.append("quick stop")
         raise DriveFault("cannot be stopped", node=4)
@@ -236,14 +241,14 @@ def test_errors_while_stopping_are_added_not_hidden(station, plan, fake):
     fake.quick_stop = broken
     fake.fault_at = 50
     with pytest.raises(DriveFault, match="FAULT") as stopped:
-        run_plan(station, plan, "none")
+        measure(plan)
     assert "cannot be stopped" in stopped.value.__notes__[0]
     assert brought_to_rest(fake)
 
 
-def test_an_arm_outside_its_range_comes_back_slowly_first(station, plan, fake, workspace, store):
+def test_an_arm_outside_its_range_comes_back_slowly_first(measure, plan, fake, workspace, store):
     fake.q_rad = fake.target_rad = np.array([0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.015, 0.3, 0.0])
-    run_plan(station, plan, "none")
+    measure(plan)
     path = np.array(fake.path)
     inside = int(np.argmax(path[:, 3] <= workspace.upper_rad[3] - 0.0199))
     speed = np.diff(path[: inside + 1], axis=0) / SETTINGS.period_s

@@ -150,10 +150,10 @@ def test_a_file_that_is_no_proof_is_ignored(path, text):
     assert first_motion_pending(path, opened())
 
 
-def test_a_proof_of_an_earlier_schema_is_ignored(path):
+def test_a_proof_that_was_edited_is_ignored(path):
     keep_proof(path, opened(), PASSED)
     body = json.loads(path.read_text())
-    path.write_text(json.dumps(body | {"schema": 1}))
+    path.write_text(json.dumps(body | {"override": 2.0}))
     assert proven_on(path, opened()) is None
 
 

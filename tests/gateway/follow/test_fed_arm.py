@@ -9,7 +9,7 @@ from gateway.errors import LimitExceeded, PlanRefused
 from gateway.feedforward.load import assumed_load
 from gateway.follow.fed_arm import FedArm
 from gateway.follow.path import FollowPath, read_path
-from gateway.follow.path_run import FollowStation, follow
+from gateway.follow.path_run import follow
 from gateway.follow.settings import Setting, check_offsets
 from gateway.follow.track import Recorder
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
@@ -131,13 +131,13 @@ def path(tmp_path, workspace) -> FollowPath:
     return read_path(tmp_path / "p.toml", workspace, PERIOD_S)
 
 
-def station(arm, workspace, stop=lambda: False):
+def run(arm, workspace, path, settings, stop=lambda: False):
     desk = StopDesk(lambda: StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person")) if stop() else None)
-    return FollowStation(arm, workspace, lambda what, done: None, MoveOptions(desk))
+    return follow(arm, workspace, path, settings, lambda what, done: None, MoveOptions(desk))
 
 
 def test_one_track_per_setting_and_the_arm_ends_in_its_brakes(arm, workspace, path, law, perfect):
-    tracks = follow(station(arm, workspace), path, [Setting("off", None, None), Setting("identified", law, None)])
+    tracks = run(arm, workspace, path, [Setting("off", None, None), Setting("identified", law, None)])
     assert [track.setting for track in tracks] == ["off", "identified"]
     assert len(tracks[0].target_rad) == len(tracks[1].target_rad)
     assert np.abs(tracks[0].torque_offset_nm).max() == 0.0
@@ -159,7 +159,7 @@ def test_a_stop_while_ramping_or_moving_brings_the_offsets_to_zero_with_the_reas
         return fed > gain if gain < 1.0 else bool(fed) and moving
 
     with pytest.raises(KeyboardInterrupt) as stopped:
-        follow(station(arm, workspace, stop), path, [Setting("identified", law, None)])
+        run(arm, workspace, path, [Setting("identified", law, None)], stop)
     note = stopped.value.__notes__[0]
     assert "brought to zero" in note
     assert ("during the ramp of the offsets" in note) == (gain < 1.0)

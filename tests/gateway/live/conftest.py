@@ -9,14 +9,15 @@ from typing import Any
 
 import pytest
 
+from gateway.live.drawing import shown_arm
 from gateway.live.feed import Feed
 from gateway.live.page_content import Show
 from gateway.live.page_process import Channel
-from gateway.live.wire import MOST_BYTES, Hello, Unpacker, pair_of_sockets
+from gateway.live.wire import MOST_BYTES, Hello, ShownCell, Unpacker, pair_of_sockets
 from gateway.motion.arms import Arms
-from gateway.motion.observer import Scene
 from gateway.motion.state import StateTracker
 from gateway.motion.stops import StopRequest
+from gateway.motion.workspace import Workspace
 from tests.data.observed import PERIOD_S
 
 
@@ -67,5 +68,11 @@ def rig() -> Iterator[Rig]:
 
 
 @pytest.fixture
-def scene(arm, workspace) -> Scene:
-    return Scene(Arms((arm,), "lockstep"), (workspace,), PERIOD_S, StateTracker("main", lambda state: None))
+def began(arm, workspace) -> tuple[Arms, tuple[Workspace, ...], float, StateTracker]:
+    """Arguments of `Observer.began`."""
+    return Arms((arm,), "lockstep"), (workspace,), PERIOD_S, StateTracker("main", lambda state: None)
+
+
+@pytest.fixture
+def shown(workspace) -> ShownCell:
+    return ShownCell((shown_arm("main", workspace),), PERIOD_S)

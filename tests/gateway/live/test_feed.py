@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gateway.acquire.events import PoseDone, Progress
 from gateway.live.feed import ROW_S, WAITING
-from gateway.live.wire import HEAD, PER_AXIS, STOP, CommandOver, Ended, Happened, PoseSeen, ShownCell
+from gateway.live.page_content import Show
+from gateway.live.page_process import Channel
+from gateway.live.wire import HEAD, PER_AXIS, STOP, CommandOver, Ended, Happened, Hello, PoseSeen, ShownCell
 from gateway.motion.observer import MotionProgress, Observers
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
 from tests.data.observed import ENABLED, PERIOD_S, observed
@@ -22,8 +23,8 @@ def rows(received: list) -> list[np.ndarray]:
     return [each for each in received if isinstance(each, np.ndarray)]
 
 
-def test_a_row_holds_what_the_loop_saw(rig, scene):
-    rig.feed.began(scene)
+def test_a_row_holds_what_the_loop_saw(rig, began):
+    rig.feed.began(*began)
     rig.feed.sampled(observed(6, Q_RAD))
     rig.later(PERIOD_S)
     rig.feed.sampled(observed(7, Q_RAD + 0.01, unresponsive=2))
@@ -42,8 +43,8 @@ def test_a_row_holds_what_the_loop_saw(rig, scene):
     assert np.isnan([q_rad[2], torque_nm[2], status[2]]).all()
 
 
-def test_a_screen_is_not_fed_faster_than_it_shows(rig, scene):
-    rig.feed.began(scene)
+def test_a_screen_is_not_fed_faster_than_it_shows(rig, began):
+    rig.feed.began(*began)
     for sync in range(1, 1001):  # a second at 1 kHz
         rig.feed.sampled(observed(sync, Q_RAD))
         rig.later(0.001)
@@ -53,9 +54,9 @@ def test_a_screen_is_not_fed_faster_than_it_shows(rig, scene):
     assert rig.feed.dropped == 0
 
 
-def test_a_page_that_does_not_read_costs_rows_and_no_time(rig, scene):
+def test_a_page_that_does_not_read_costs_rows_and_no_time(rig, began):
     """The kernel's buffer fills up; every row after that is left out and counted, and nothing is ever waited for."""
-    rig.feed.began(scene)
+    rig.feed.began(*began)
     for sync in range(1, 5001):
         rig.feed.sampled(observed(sync, Q_RAD))
         rig.feed.reported(MotionProgress("move", sync, 5000))
@@ -69,8 +70,8 @@ def test_a_page_that_does_not_read_costs_rows_and_no_time(rig, scene):
     assert rows(rig.received())[-1][1] == 5001
 
 
-def test_messages_beyond_the_buffer_come_later_and_in_order(rig, scene):
-    rig.feed.began(scene)
+def test_messages_beyond_the_buffer_come_later_and_in_order(rig, began):
+    rig.feed.began(*began)
     while not rig.feed.dropped:
         rig.feed.sampled(observed(1, Q_RAD))
         rig.later(PERIOD_S)
@@ -83,8 +84,8 @@ def test_messages_beyond_the_buffer_come_later_and_in_order(rig, scene):
     assert steps == list(range(WAITING))
 
 
-def test_a_page_that_is_gone_is_let_go(rig, scene):
-    rig.feed.began(scene)
+def test_a_page_that_is_gone_is_let_go(rig, began):
+    rig.feed.began(*began)
     rig.page.close()
     observers = Observers(rig.feed)
     observers.sampled(*_parts(observed(1, Q_RAD)))
@@ -146,8 +147,8 @@ def test_a_page_that_never_starts_stops_the_arm(rig):
     assert rig.run(33.0, answered=False) is not None
 
 
-def test_time_without_an_answer_counts_whole_where_the_sync_period_is_long(rig, scene):
-    rig.feed.began(replace(scene, period_s=1.0))
+def test_time_without_an_answer_counts_whole_where_the_sync_period_is_long(rig, began):
+    rig.feed.began(*began[:2], 1.0, began[3])
     assert rig.run(0.5, answered=True) is None
     wishes = []
     for _ in range(3):
@@ -157,8 +158,8 @@ def test_time_without_an_answer_counts_whole_where_the_sync_period_is_long(rig, 
     assert wishes[-1] is not None
 
 
-def test_a_pose_comes_with_what_the_model_asks_for_there(rig, scene):
-    rig.feed.began(scene)
+def test_a_pose_comes_with_what_the_model_asks_for_there(rig, began):
+    rig.feed.began(*began)
     rig.feed.sampled(observed(1, Q_RAD))
     rig.feed.reported(PoseDone(3, "none", (1.0,) * 6, (0.1,) * 6))
     seen = rig.received()[-1]
@@ -167,11 +168,22 @@ def test_a_pose_comes_with_what_the_model_asks_for_there(rig, scene):
     assert seen.modelled_nm == pytest.approx(range(6))
 
 
-def test_the_end_says_why(rig, scene):
-    rig.feed.began(scene)
+def test_the_end_says_why(rig, began):
+    rig.feed.began(*began)
     rig.feed.ended(None)
     rig.feed.ended(StoppedByPerson("stopped by SIGINT"))
     rig.feed.close("The command has ended.")
     received = rig.received()
     assert [each.reason for each in received if isinstance(each, Ended)] == ["", "stopped by SIGINT"]
     assert received[-1] == CommandOver("The command has ended.")
+
+
+def test_the_end_is_read_though_an_answer_to_the_heartbeat_was_not(rig):
+    """An end that is closed before it has read everything resets the other one, which then still holds messages."""
+    channel, show = Channel(rig.page), Show(Hello(8460, "word", "servo-gateway record", stops=True))
+    assert rig.feed.pressed() is None
+    channel.drain(show)  # asked, and answered
+    rig.feed.close("stopped by the button of the live page")
+    channel.drain(show)
+    assert show.over == "stopped by the button of the live page"
+    assert channel.gone

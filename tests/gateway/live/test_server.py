@@ -11,7 +11,6 @@ from unittest.mock import Mock
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
-from gateway.live.drawing import stage_of
 from gateway.live.guard import Door
 from gateway.live.page_content import Show
 from gateway.live.server import BEHIND, STATIC, Pages, Viewer, live_app
@@ -32,9 +31,9 @@ def stopped() -> Mock:
 
 
 @pytest.fixture
-def client(scene, stopped) -> Iterator[TestClient]:
+def client(shown, stopped) -> Iterator[TestClient]:
     show = Show(Hello(PORT, TOKEN, "servo-gateway record", stops=True))
-    show.take(stage_of(scene))
+    show.take(shown)
     with TestClient(live_app(Pages(show, stopped), Door(PORT, TOKEN)), base_url=HOME) as client:
         yield client
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, StateChanged, Stopped
-from gateway.live.drawing import stage_of
 from gateway.live.feed import PHASES
 from gateway.live.page_content import Show, _ArmPast
 from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen
@@ -23,9 +22,9 @@ ENABLED, FAULT = 0x1237, 0x1218
 
 
 @pytest.fixture
-def show(scene) -> Show:
+def show(shown) -> Show:
     show = Show(Hello(8460, "word", "servo-gateway record", stops=True))
-    show.take(stage_of(scene))
+    show.take(shown)
     show.news()
     return show
 

@@ -11,12 +11,11 @@ from drives.errors import DriveFault
 from gateway.errors import LimitExceeded
 from gateway.model.regressor import gravity_regressor
 from gateway.motion.arms import Arms
-from gateway.motion.contact import TAKE_OVER_S
-from gateway.motion.observer import MotionProgress, Observed, Observers, Scene
+from gateway.motion.observer import MotionProgress, Observed, Observers
 from gateway.motion.power import powered
-from gateway.motion.state import StateTracker
-from gateway.motion.stream import MoveOptions, Station, Stream
+from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import MotionLimits, straight
+from gateway.motion.watch import TAKE_OVER_S
 
 PERIOD_S = 0.01
 TARGET = np.array([0.3, 0.2, -0.2, 0.1, 0.2, -0.3])
@@ -26,13 +25,13 @@ class Seen:
     """Keeps what it is handed."""
 
     def __init__(self) -> None:
-        self.scenes: list[Scene] = []
+        self.begun: list[tuple] = []
         self.rows: list[Observed] = []
         self.events: list[object] = []
         self.ends: list[BaseException | None] = []
 
-    def began(self, scene: Scene) -> None:
-        self.scenes.append(scene)
+    def began(self, *arms) -> None:
+        self.begun.append(arms)
 
     def sampled(self, observed: Observed) -> None:
         self.rows.append(observed)
@@ -52,30 +51,23 @@ class Broken(Seen):
         raise RuntimeError("a defect of who looks on")
 
 
-def station_of(arm, workspace, *observers) -> Station:
-    return Station(
-        arms=Arms((arm,), "lockstep"),
-        workspaces=(workspace,),
-        period_s=PERIOD_S,
-        state=StateTracker("main", lambda state: None),
-        options=MoveOptions(observers=Observers(*observers)),
-    )
+def stream_of(arm, workspace, *observers) -> Stream:
+    return Stream(Arms((arm,), "lockstep"), (workspace,), PERIOD_S, MoveOptions(observers=Observers(*observers)))
 
 
-def drive(station: Station, workspace) -> None:
+def drive(stream: Stream, workspace) -> None:
     limits = MotionLimits(0.9 * workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
-    with powered(Stream(station)) as stream:
+    with powered(stream):
         stream.take_over()
         stream.move([straight(stream.q_rad[0], TARGET, limits, PERIOD_S)], "move")
 
 
 def test_every_sync_is_handed_on_once_with_its_targets_and_model(arm, workspace, fake):
     seen = Seen()
-    station = station_of(arm, workspace, seen)
-    drive(station, workspace)
+    stream = stream_of(arm, workspace, seen)
+    drive(stream, workspace)
     assert [each.samples[0].sync_index for each in seen.rows] == list(range(2, fake.sync_index + 1))
-    assert seen.scenes[0].arms is station.arms
-    assert seen.scenes[0].workspaces == (workspace,)
+    assert seen.begun == [(stream.arms, (workspace,), PERIOD_S, stream.state)]
     assert seen.ends == [None]
     last = seen.rows[-1]
     assert last.targets_rad[0] == pytest.approx(TARGET)
@@ -90,7 +82,7 @@ def test_the_sync_that_ends_a_motion_is_handed_on_before_anything_is_stopped(arm
     seen = Seen()
     fake.contact_nm = {round(TAKE_OVER_S / PERIOD_S) + 20: 0.5 * workspace.torque_nm[2]}
     with pytest.raises(LimitExceeded) as stopped:
-        drive(station_of(arm, workspace, seen), workspace)
+        drive(stream_of(arm, workspace, seen), workspace)
     assert seen.rows[-1].samples[0].sync_index == fake.sync_index
     assert seen.ends == [stopped.value]
 
@@ -99,26 +91,26 @@ def test_a_failed_drive_ends_what_is_seen_with_its_cause(arm, workspace, fake):
     seen = Seen()
     fake.fault_at = 30
     with pytest.raises(DriveFault) as failed:
-        drive(station_of(arm, workspace, seen), workspace)
+        drive(stream_of(arm, workspace, seen), workspace)
     assert seen.ends == [failed.value]
 
 
 def test_an_observer_that_raises_is_notified_no_more_and_changes_nothing(arm, workspace, fake):
     broken, seen = Broken(), Seen()
-    station = station_of(arm, workspace, broken, seen)
-    drive(station, workspace)
+    stream = stream_of(arm, workspace, broken, seen)
+    drive(stream, workspace)
     assert fake.log == ["enable", "disable"]
     assert len(broken.rows) == 1
     assert broken.ends == []
     assert len(seen.rows) == fake.sync_index - 1
-    assert [str(error) for error in station.options.observers.troubles] == ["a defect of who looks on"]
+    assert [str(error) for error in stream.options.observers.troubles] == ["a defect of who looks on"]
 
 
 def test_the_motion_is_the_same_with_and_without_observers(arm, workspace, fake):
-    drive(station_of(arm, workspace, Broken(), Seen()), workspace)
+    drive(stream_of(arm, workspace, Broken(), Seen()), workspace)
     with_them, fake.path = list(fake.path), []
     fake.q_rad, fake.sync_index = np.zeros(6), 0
-    drive(station_of(arm, workspace), workspace)
+    drive(stream_of(arm, workspace), workspace)
     assert np.array_equal(with_them, fake.path)
 
 

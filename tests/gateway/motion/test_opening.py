@@ -64,17 +64,16 @@ class Group:
 
     def __init__(self) -> None:
         self.sync_index = 0
-        self.access = ()
         self.limits_nm: list[float | None] = []
         self.connect = lambda: ()
 
     def of(self, _bus, setups, *_pacing, **_options) -> nullcontext[Group]:
         """Take the settings as the group of these drives does."""
-        self.setups = setups
+        self.nodes = SimpleNamespace(setups=setups)
         self.drives = [
             SimpleNamespace(
                 access=SimpleNamespace(read=lambda entry, setup=setup: {0x6064: 1000}[entry.index] * setup.node_id),
-                scale=SimpleNamespace(count_rad=0.001),
+                scale=SimpleNamespace(count_rad=0.001, constants=None),
                 setup=setup,
             )
             for setup in setups
@@ -125,7 +124,7 @@ def test_the_bus_is_that_of_the_cell_unless_another_one_is_given(small_cell, mon
         pass
     bus = small_cell.cell.bus[small_cell.cell.arm[0].bus]
     own = BusSpec(bus.interface, bus.channel, bus.bitrate_bit_s, dict(bus.options))
-    open_bus.assert_called_once_with(bus_name or own, None)
+    open_bus.assert_called_once_with(bus_name or own)
 
 
 @pytest.mark.parametrize(

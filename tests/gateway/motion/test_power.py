@@ -10,9 +10,9 @@ from drives.errors import BrakeDropped, DriveFault, NotStoodDown
 from gateway.errors import LimitExceeded
 from gateway.motion.arms import Arms
 from gateway.motion.power import BRAKE_DROP_RAD, powered
-from gateway.motion.state import Phase, StateTracker
+from gateway.motion.state import Phase
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
-from gateway.motion.stream import FIRST_SHARE, MoveOptions, Station, Stream
+from gateway.motion.stream import FIRST_SHARE, MoveOptions, Stream
 from gateway.motion.trajectory import MotionLimits, straight
 
 PERIOD_S = 0.01
@@ -25,14 +25,18 @@ def reported() -> list:
 
 
 @pytest.fixture
-def station(arm, workspace, reported) -> Station:
-    return Station(
-        arms=Arms((arm,), "lockstep"),
-        workspaces=(workspace,),
-        period_s=PERIOD_S,
-        state=StateTracker("main", lambda state: reported.append(state.phase)),
-        options=MoveOptions(),
-    )
+def make(arm, workspace, reported):
+    def make(
+        options=None, pacing="lockstep", state_changed=lambda state: reported.append(state.phase), **more
+    ) -> Stream:
+        return Stream(Arms((arm,), pacing), (workspace,), PERIOD_S, options, state_changed=state_changed, **more)
+
+    return make
+
+
+@pytest.fixture
+def stream(make) -> Stream:
+    return make()
 
 
 def move(stream: Stream, workspace, target=TARGET) -> None:
@@ -40,19 +44,19 @@ def move(stream: Stream, workspace, target=TARGET) -> None:
     stream.move([straight(stream.q_rad[0], target, limits, PERIOD_S)], "move")
 
 
-def test_a_motion_ends_with_the_brakes_on(station, workspace, fake, reported):
-    with powered(Stream(station)) as stream:
-        assert station.options.desk.under_power
+def test_a_motion_ends_with_the_brakes_on(stream, workspace, fake, reported):
+    with powered(stream):
+        assert stream.options.desk.under_power
         move(stream, workspace)
     assert fake.log == ["enable", "disable"]
     assert fake.q_rad == pytest.approx(TARGET, abs=1e-5)
     assert reported == [Phase.HOLDING, Phase.STOPPING, Phase.IN_BRAKES]
-    assert not station.options.desk.under_power
+    assert not stream.options.desk.under_power
 
 
-def test_a_wish_to_stop_brings_the_arm_to_rest_along_its_path(station, workspace, fake):
-    moved = replace(station, options=MoveOptions(fake.asks_at(40, StopKind.ALONG_PATH)))
-    with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
+def test_a_wish_to_stop_brings_the_arm_to_rest_along_its_path(make, workspace, fake):
+    moved = make(MoveOptions(fake.asks_at(40, StopKind.ALONG_PATH)))
+    with pytest.raises(StoppedByPerson), powered(moved) as stream:
         move(stream, workspace)
     assert fake.log == ["enable", "disable"]
     path = np.array(fake.path)
@@ -63,23 +67,23 @@ def test_a_wish_to_stop_brings_the_arm_to_rest_along_its_path(station, workspace
     assert 0.05 < share[-1] < 0.95
 
 
-def test_an_urgent_wish_is_a_quick_stop_with_the_next_sync(station, workspace, fake):
-    moved = replace(station, options=MoveOptions(fake.asks_at(40, StopKind.QUICK_STOP)))
-    with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
+def test_an_urgent_wish_is_a_quick_stop_with_the_next_sync(make, workspace, fake):
+    moved = make(MoveOptions(fake.asks_at(40, StopKind.QUICK_STOP)))
+    with pytest.raises(StoppedByPerson), powered(moved) as stream:
         move(stream, workspace)
     assert fake.log == ["enable", "quick stop", "disable"]
     assert fake.sync_index == 40
 
 
-def test_a_wish_while_the_arm_is_at_rest_is_answered_at_once(station, fake):
-    moved = replace(station, options=MoveOptions(fake.asks_at(5, StopKind.ALONG_PATH)))
-    with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
+def test_a_wish_while_the_arm_is_at_rest_is_answered_at_once(make, fake):
+    moved = make(MoveOptions(fake.asks_at(5, StopKind.ALONG_PATH)))
+    with pytest.raises(StoppedByPerson), powered(moved) as stream:
         stream.stand(1.0, "hold")
     assert fake.log == ["enable", "disable"]
     assert fake.sync_index == 5
 
 
-def test_a_wish_during_enabling_powers_nothing(station, fake):
+def test_a_wish_during_enabling_powers_nothing(make, fake):
     asked = []
 
     def enable(stop_requested):
@@ -87,14 +91,14 @@ def test_a_wish_during_enabling_powers_nothing(station, fake):
         raise DriveFault("a stop was asked for")
 
     fake.enable = enable
-    moved = replace(station, options=MoveOptions(fake.asks_at(0, StopKind.ALONG_PATH)))
-    with pytest.raises(StoppedByPerson), powered(Stream(moved)):
+    moved = make(MoveOptions(fake.asks_at(0, StopKind.ALONG_PATH)))
+    with pytest.raises(StoppedByPerson), powered(moved):
         pass
     assert asked == [True]
     assert fake.log[-1] == "disable"
 
 
-def test_a_defect_while_set_points_go_out_is_a_quick_stop(station, workspace, fake):
+def test_a_defect_while_set_points_go_out_is_a_quick_stop(stream, workspace, fake):
     exchange = fake.exchange
 
     def broken(commands):
@@ -103,12 +107,12 @@ def test_a_defect_while_set_points_go_out_is_a_quick_stop(station, workspace, fa
         return exchange(commands)
 
     fake.exchange = broken
-    with pytest.raises(ZeroDivisionError), powered(Stream(station)) as stream:
+    with pytest.raises(ZeroDivisionError), powered(stream):
         move(stream, workspace)
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
-def test_observers_are_notified_after_the_arm_is_safe_and_cannot_prevent_it(station, workspace, fake):
+def test_observers_are_notified_after_the_arm_is_safe_and_cannot_prevent_it(make, workspace, fake):
     log = []
 
     def listen(state):
@@ -117,27 +121,27 @@ def test_observers_are_notified_after_the_arm_is_safe_and_cannot_prevent_it(stat
             raise BrokenPipeError(32, "Broken pipe")
 
     options = MoveOptions(fake.asks_at(40, StopKind.QUICK_STOP))
-    moved = replace(station, state=StateTracker("main", listen), options=options)
-    with pytest.raises(BrokenPipeError), powered(Stream(moved)) as stream:
+    moved = make(options, state_changed=listen)
+    with pytest.raises(BrokenPipeError), powered(moved) as stream:
         move(stream, workspace)
     assert (Phase.STOPPING, False) in log
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
-def test_a_report_that_fails_stops_the_arm_along_its_path(station, workspace, fake):
+def test_a_report_that_fails_stops_the_arm_along_its_path(make, workspace, fake):
     def report(what, row, rows):
         if row > 10:
             raise BrokenPipeError(32, "Broken pipe")
 
-    with pytest.raises(StoppedByPerson, match="terminal"), powered(Stream(replace(station, report=report))) as stream:
+    with pytest.raises(StoppedByPerson, match="terminal"), powered(make(report=report)) as stream:
         move(stream, workspace)
     assert fake.log == ["enable", "disable"]
 
 
-def test_the_first_motion_with_a_set_of_drives_is_slow_and_the_next_one_is_not(station, workspace, fake):
+def test_the_first_motion_with_a_set_of_drives_is_slow_and_the_next_one_is_not(make, workspace, fake):
     done = []
     options = MoveOptions(override=0.8, first_done=lambda: done.append(fake.sync_index))
-    with powered(Stream(replace(station, options=options))) as stream:
+    with powered(make(options)) as stream:
         move(stream, workspace)
         first = np.abs(np.diff(np.array(fake.path), axis=0)).max(axis=0) / PERIOD_S
         count = len(fake.path)
@@ -147,80 +151,80 @@ def test_the_first_motion_with_a_set_of_drives_is_slow_and_the_next_one_is_not(s
     assert done == [fake.sync_index]
 
 
-def test_a_joint_that_sinks_in_its_brake_is_reported(station, fake):
-    tracker = station.state
+def test_a_joint_that_sinks_in_its_brake_is_reported(stream, fake):
+    tracker = stream.state
     fake.brake_drop_rad = fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
-    with pytest.raises(BrakeDropped, match=r"joint 2 sank by 0\.0080 rad"), powered(Stream(station)):
+    with pytest.raises(BrakeDropped, match=r"joint 2 sank by 0\.0080 rad"), powered(stream):
         pass
     assert "joint 2 sank by 0.0080 rad" in tracker.state.reason
 
 
 @pytest.mark.parametrize("cause", [StoppedByPerson("a person"), LimitExceeded("too fast", 1)])
-def test_a_drop_after_a_stop_is_an_error_of_the_drives_that_names_the_stop(station, fake, cause):
+def test_a_drop_after_a_stop_is_an_error_of_the_drives_that_names_the_stop(stream, fake, cause):
     fake.brake_drop_rad = fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
-    with pytest.raises(BrakeDropped) as dropped, powered(Stream(station)):
+    with pytest.raises(BrakeDropped) as dropped, powered(stream):
         raise cause
     assert dropped.value.exit_code == 4
     assert any(str(cause) in note for note in dropped.value.__notes__)
 
 
 @pytest.mark.parametrize(("sunk_rad", "said"), [(0.9, False), (1.1, True)])
-def test_a_joint_sinks_from_a_limit_on(station, fake, sunk_rad, said):
+def test_a_joint_sinks_from_a_limit_on(stream, fake, sunk_rad, said):
     drop_rad = np.zeros(6)
     drop_rad[3] = sunk_rad * BRAKE_DROP_RAD
     fake.brake_drop_rad = np.abs(fake.axes.motor_velocity(drop_rad)).tolist()
-    with pytest.raises(BrakeDropped) if said else nullcontext(), powered(Stream(station)):
+    with pytest.raises(BrakeDropped) if said else nullcontext(), powered(stream):
         pass
-    assert ("joint 4 sank" in station.state.state.reason) == said
-    assert ("check these brakes" in station.state.state.reason) == said
+    assert ("joint 4 sank" in stream.state.state.reason) == said
+    assert ("check these brakes" in stream.state.state.reason) == said
 
 
-def test_a_stop_that_fails_without_another_error_is_raised(station, fake):
+def test_a_stop_that_fails_without_another_error_is_raised(stream, fake):
     def broken():
         raise DriveFault("cannot be disabled", node=4)
 
     fake.disable = broken
-    with pytest.raises(DriveFault, match="cannot be disabled") as failed, powered(Stream(station)):
+    with pytest.raises(DriveFault, match="cannot be disabled") as failed, powered(stream):
         pass
-    assert not station.options.desk.under_power
-    assert station.state.state.phase is Phase.UNKNOWN
+    assert not stream.options.desk.under_power
+    assert stream.state.state.phase is Phase.UNKNOWN
     assert any("use the emergency stop (node 1: OPERATION ENABLED)" in note for note in failed.value.__notes__)
 
 
-def test_drives_that_are_disabled_are_in_their_brakes_whatever_fails_afterwards(station, fake):
+def test_drives_that_are_disabled_are_in_their_brakes_whatever_fails_afterwards(stream, fake):
     def full_disk():
         fake.enabled = False
         raise NotStoodDown("every drive was read as disabled; then: the write ledger cannot be written")
 
     fake.disable = full_disk
-    with pytest.raises(StoppedByPerson) as stopped, powered(Stream(station)):
+    with pytest.raises(StoppedByPerson) as stopped, powered(stream):
         raise StoppedByPerson("a person")
-    assert station.state.state.phase is Phase.STOPPED
+    assert stream.state.state.phase is Phase.STOPPED
     assert not any("emergency stop" in note for note in stopped.value.__notes__)
 
 
-def test_a_drop_after_an_error_is_among_its_notes_with_time_and_sync(station, workspace, fake):
+def test_a_drop_after_an_error_is_among_its_notes_with_time_and_sync(stream, workspace, fake):
     fake.fault_at = 30
     fake.brake_drop_rad = np.abs(fake.axes.motor_velocity(np.full(6, 2 * BRAKE_DROP_RAD))).tolist()
-    with pytest.raises(DriveFault, match="FAULT") as failed, powered(Stream(station)) as stream:
+    with pytest.raises(DriveFault, match="FAULT") as failed, powered(stream):
         move(stream, workspace)
     notes = " ".join(failed.value.__notes__)
     assert "joint 1 sank" in notes
     assert "SYNC 29 of this run" in notes
-    assert station.state.state.phase is Phase.STOPPED
-    assert "FAULT" in station.state.state.reason
+    assert stream.state.state.phase is Phase.STOPPED
+    assert "FAULT" in stream.state.state.reason
 
 
-def test_a_first_motion_that_was_stopped_is_not_done(station, workspace, fake):
+def test_a_first_motion_that_was_stopped_is_not_done(make, workspace, fake):
     done = []
     asked = MoveOptions(fake.asks_at(40, StopKind.ALONG_PATH))
     options = replace(asked, first_done=lambda: done.append(1))
-    with pytest.raises(StoppedByPerson), powered(Stream(replace(station, options=options))) as stream:
+    with pytest.raises(StoppedByPerson), powered(make(options)) as stream:
         move(stream, workspace)
     assert done == []
 
 
-def test_by_the_clock_the_scheduler_is_asked_for_while_power_is_on(station, fake, monkeypatch):
+def test_by_the_clock_the_scheduler_is_asked_for_while_power_is_on(make, stream, fake, monkeypatch):
     log = []
 
     class Asked:
@@ -231,30 +235,30 @@ def test_by_the_clock_the_scheduler_is_asked_for_while_power_is_on(station, fake
             log.append(("usual", fake.enabled))
 
     monkeypatch.setattr("gateway.motion.power.RealTime", Asked)
-    with powered(Stream(station)):
+    with powered(stream):
         pass
     assert log == []
-    with powered(Stream(replace(station, arms=Arms(station.arms.members, "real")))):
+    with powered(make(pacing="real")):
         assert fake.enabled
     assert log == [("real time", False), ("usual", False)]
 
 
-def test_a_wish_that_comes_with_the_last_sync_is_reported(station, fake):
+def test_a_wish_that_comes_with_the_last_sync_is_reported(make, fake):
     wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
     asked = []
     options = MoveOptions(StopDesk(lambda: wish if asked else None))
-    with pytest.raises(StoppedByPerson), powered(Stream(replace(station, options=options))):
+    with pytest.raises(StoppedByPerson), powered(make(options)):
         asked.append(1)
     assert fake.log == ["enable", "disable"]
 
 
-def test_an_error_of_a_drive_is_kept_and_what_fails_while_stopping_joins_it(station, workspace, fake):
+def test_an_error_of_a_drive_is_kept_and_what_fails_while_stopping_joins_it(stream, workspace, fake):
     fake.fault_at = 30
 
     def broken():
         raise DriveFault("cannot be disabled", node=4)
 
     fake.disable = broken
-    with pytest.raises(DriveFault, match="FAULT") as failed, powered(Stream(station)) as stream:
+    with pytest.raises(DriveFault, match="FAULT") as failed, powered(stream):
         move(stream, workspace)
     assert any("cannot be disabled" in note for note in failed.value.__notes__)

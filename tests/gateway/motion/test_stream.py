@@ -12,15 +12,13 @@ import pytest
 
 from gateway.errors import LimitExceeded
 from gateway.motion.arms import Arms
-from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.observer import Observers
 from gateway.motion.power import powered
 from gateway.motion.setpoints import MotionSetpoints
-from gateway.motion.state import StateTracker
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
-from gateway.motion.stream import REPORT_S, REST_LONGEST_S, REST_SYNCS, MoveOptions, Station, Stream
+from gateway.motion.stream import REPORT_S, REST_LONGEST_S, REST_SYNCS, MoveOptions, Stream
 from gateway.motion.trajectory import Motion, MotionLimits, straight
-from gateway.motion.watch import Watch
+from gateway.motion.watch import TAKE_OVER_S, Watch
 
 PERIOD_S = 0.01
 TARGET = np.array([0.3, 0.2, -0.2, 0.1, 0.2, -0.3])
@@ -34,16 +32,8 @@ def notified() -> list[tuple[str, int, int]]:
 @pytest.fixture
 def make(arm, workspace, notified) -> Callable[..., Stream]:
     def make(pacing: str = "lockstep", **options) -> Stream:
-        stream = Stream(
-            Station(
-                arms=Arms((arm,), pacing),  # type: ignore[arg-type]
-                workspaces=(workspace,),
-                period_s=PERIOD_S,
-                state=StateTracker("main", lambda state: None),
-                options=MoveOptions(**options),
-                report=lambda what, row, rows: notified.append((what, row, rows)),
-            )
-        )
+        arms, keep = Arms((arm,), pacing), lambda *report: notified.append(report)  # type: ignore[arg-type]
+        stream = Stream(arms, (workspace,), PERIOD_S, MoveOptions(**options), keep)
         stream.start()
         return stream
 
@@ -184,7 +174,7 @@ def test_in_lockstep_a_job_is_just_done(make, fake):
 
 def test_by_the_clock_the_arm_is_held_while_a_job_is_done_beside_it(make, fake):
     stream = make("real")
-    stream.station.arms.enabled = True
+    stream.arms.enabled = True
     go_on = threading.Event()
     held = fake.hold
 
@@ -223,7 +213,7 @@ def test_a_stop_does_not_wait_for_the_job_beside_the_arm(make, fake, kind):
 
     def work() -> None:
         with powered(stream):
-            stream.station.arms.enabled = True
+            stream.arms.enabled = True
             stream.hold_while(job, "work")
 
     fake.disable, fake.hold = disable, hold
@@ -239,14 +229,14 @@ def test_a_stop_does_not_wait_for_the_job_beside_the_arm(make, fake, kind):
 def test_the_first_sync_of_an_arm_that_has_just_moved_is_over_before_a_job_begins(make, fake):
     """The drives' watch for stalls takes it for one of a moving arm, and a job may delay it."""
     stream = make("real")
-    stream.station.arms.enabled = True
+    stream.arms.enabled = True
     before = fake.sync_index
     assert stream.hold_while(lambda: fake.sync_index, "work") > before
 
 
 def test_a_job_that_fails_beside_the_arm_is_raised(make):
     stream = make("real")
-    stream.station.arms.enabled = True
+    stream.arms.enabled = True
     switch_s = sys.getswitchinterval()
     with pytest.raises(ZeroDivisionError):
         stream.hold_while(lambda: 1 / 0, "work")
@@ -255,7 +245,7 @@ def test_a_job_that_fails_beside_the_arm_is_raised(make):
 
 def test_arms_in_their_brakes_are_not_held_meanwhile(make, fake):
     stream = make("real")
-    stream.station.arms.enabled = False
+    stream.arms.enabled = False
     before = fake.sync_index
     assert stream.hold_while(lambda: 5, "work") == 5
     assert fake.sync_index == before

@@ -11,12 +11,12 @@ from gateway.acquire.plan import travel_limits
 from gateway.acquire.settle import SettleTest
 from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded
-from gateway.motion.contact import FOLLOW_RAD
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.trajectory import straight
-from gateway.motion.watch import IN_A_ROW, Watch
+from gateway.motion.watch import FOLLOW_RAD, Watch
 
 PERIOD_S = 0.01
+IN_A_ROW = ARM_RULES["limits"].count
 ANSWER = DriveReading(1, 1, 0x1237, 0, 0, None, None, 0.0, 0.0, None, None)
 ZERO = np.zeros(6)
 

@@ -7,14 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gateway.motion.reactions import ARM_RULES
 from gateway.pair.distance import DistanceSensors
-from gateway.pair.gap import SENSOR_MISMATCH_SYNCS, SensorCheck
+from gateway.pair.gap import SensorCheck
 
 BEAM = np.array([[0.0, 0, 1]] * 3 + [[1.0, 0, 0]] * 2 + [[0.0, 1, 0]])
 ORIGIN = np.array(
     [[0.06, 0, 0], [-0.04, 0.05, 0], [-0.04, -0.05, 0], [0, 0.06, 0.02], [0, -0.06, 0.02], [0.05, 0, 0.03]]
 )
-GAP_M = 0.02
+GAP_M, SYNCS = 0.02, ARM_RULES["sensors"].count
 SHIFT_M = np.array([0.4e-3, 0.0, -1.0e-3])
 
 
@@ -32,7 +33,7 @@ def hands(shift_m: np.ndarray) -> np.ndarray:
     return pose
 
 
-def answers(change_m: np.ndarray, syncs: int = SENSOR_MISMATCH_SYNCS + 1) -> list[str]:
+def answers(change_m: np.ndarray, syncs: int = SYNCS) -> list[str]:
     """What is said when readings have changed by this while the hand went SHIFT_M."""
     found = check()
     assert found.take(np.full(6, GAP_M), hands(np.zeros(3))) == ""
@@ -50,7 +51,7 @@ def test_two_sensors_that_are_swapped_are_named(one, other):
     change[[one, other]] = change[[other, one]]
     number = (1, 2, 3, 4, 5, 8)
     said = answers(change)
-    assert said[:-1] == [""] * SENSOR_MISMATCH_SYNCS
+    assert said[:-1] == [""] * (SYNCS - 1)
     assert f"sensors {number[one]} and {number[other]} are swapped" in said[-1]
 
 
@@ -65,7 +66,7 @@ def test_a_sensor_that_is_constant_or_inverted_is_named(factor, moved):
 def test_a_sensor_that_is_alone_cannot_be_swapped():
     found = check(1)
     found.take(np.array([GAP_M]), hands(np.zeros(3)))
-    said = [found.take(np.array([GAP_M]), hands(SHIFT_M)) for _ in range(SENSOR_MISMATCH_SYNCS + 1)]
+    said = [found.take(np.array([GAP_M]), hands(SHIFT_M)) for _ in range(SYNCS)]
     assert "sensor 1 moved by 0.00 mm" in said[-1]
 
 
@@ -75,5 +76,5 @@ def test_one_odd_sync_and_none_at_all_say_nothing():
         assert found.take(None, hands(np.zeros(3))) == ""
     found.take(np.full(6, GAP_M), hands(np.zeros(3)))
     for _ in range(4):
-        for change in [np.full(6, 1e-3)] * SENSOR_MISMATCH_SYNCS + [-BEAM @ SHIFT_M]:
+        for change in [np.full(6, 1e-3)] * (SYNCS - 1) + [-BEAM @ SHIFT_M]:
             assert found.take(GAP_M + change, hands(SHIFT_M)) == ""

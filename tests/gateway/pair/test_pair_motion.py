@@ -12,7 +12,7 @@ from gateway.errors import LimitExceeded, PlanRefused
 from gateway.motion.observer import Observers
 from gateway.motion.power import powered
 from gateway.motion.stops import StopKind
-from gateway.motion.stream import MoveOptions, Stream
+from gateway.motion.stream import MoveOptions
 from gateway.pair.controller import PairController
 from gateway.pair.embodiments import EMBODIMENTS
 from gateway.pair.gap import gap_layout, instruments_on
@@ -69,7 +69,7 @@ def test_a_posture_that_is_not_allowed_is_named_with_its_command(pair):
 def test_both_arms_come_slowly_and_at_the_same_time_to_the_start_of_a_path(pair, away_rad):
     pair.part.stiffness = (0.0, 0.0)
     observer = Mock()
-    stream = Stream(pair.link.station(pair.cell, MoveOptions(observers=Observers(observer))))
+    stream = pair.link.stream(pair.cell, MoveOptions(observers=Observers(observer)))
     motion = PairMotion(pair.cell, stream)
     goal = tuple(arm.start_rad + away_rad * np.array([0.2, -1.0, 0.5, 0, 0.1, 0]) for arm in pair.cell.arms)
     with powered(stream):
@@ -89,21 +89,21 @@ def test_both_arms_come_slowly_and_at_the_same_time_to_the_start_of_a_path(pair,
 
 
 def test_a_gap_out_of_range_is_urgent_and_asked_for_wherever_the_arms_are_powered(pair):
-    stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+    stream = pair.link.stream(pair.cell, MoveOptions())
     motion = PairMotion(pair.cell, stream)
     motion.ask("too close", StopKind.QUICK_STOP)
-    wish = stream.station.options.desk.look()
+    wish = stream.options.desk.look()
     assert wish is not None
     assert (wish.kind, str(wish.cause)) == (StopKind.QUICK_STOP, "too close")
 
 
 def test_with_a_common_part_nothing_is_added_to_the_torque(pair):
-    stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+    stream = pair.link.stream(pair.cell, MoveOptions())
     assert PairMotion(pair.cell, stream).offsets((np.zeros(6), np.zeros(6))) is None
 
 
 def test_a_prepared_trajectory_holds_the_nominal_joints_of_both_arms_and_their_rates(pair):
-    stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+    stream = pair.link.stream(pair.cell, MoveOptions())
     path = pair.cell.path(1.0)
     seeds = tuple(arm.start_rad for arm in pair.cell.arms)
     rows = PairMotion(pair.cell, stream).prepare_trajectory(path, seeds)

@@ -13,7 +13,7 @@ from drives.errors import DriveFault
 from gateway.errors import ConfigError, InputError, PlanRefused
 from gateway.motion.power import powered
 from gateway.motion.stops import StopDesk, StoppedByPerson
-from gateway.motion.stream import MoveOptions, Stream
+from gateway.motion.stream import MoveOptions
 from gateway.pair.balance import ForceBalance
 from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS
 from gateway.pair.function_file import transform_of
@@ -139,7 +139,7 @@ def test_points_that_are_taught_are_not_taught_again(taught, pair, store):
     ],
 )
 def test_a_point_that_cannot_be_adjusted_stops_both(pair, store, rule, says):
-    stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+    stream = pair.link.stream(pair.cell, MoveOptions())
     teacher = Teacher(PairMotion(pair.cell, stream, options()), cell_gains(pair.cell), rule)
     taught_path = open_taught_path(pair.cell, store, resume=False)
     with pytest.raises(PairStopped, match=says), powered(stream):
@@ -388,7 +388,7 @@ def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, s
         return lambda *changes: (computed.append((name, preparing[0])), heavy(*changes))[1]
 
     row = replace(EMBODIMENTS["C2c"], gains=cell_gains(pair.cell))
-    stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+    stream = pair.link.stream(pair.cell, MoveOptions())
     going = PairRun(pair.cell, stream, row, constant_function(pair.cell.nominal_relation), options())
     monkeypatch.setattr(PairMotion, "prepare", prepare)
     monkeypatch.setattr("gateway.pair.pair_setpoints.equalised_targets", noted("ahead", equalised_targets))
@@ -407,7 +407,7 @@ def test_the_path_back_learns_for_itself_unless_learning_is_off(pair, store):
     row = replace(EMBODIMENTS["C2c"], gains=cell_gains(pair.cell))
     most = {}
     for frozen in (False, True):
-        stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+        stream = pair.link.stream(pair.cell, MoveOptions())
         going = PairRun(pair.cell, stream, row, constant_function(pair.cell.nominal_relation), options())
         with powered(stream):
             going.start()

@@ -10,8 +10,7 @@ from click.testing import CliRunner
 
 from gateway.cli import main
 from gateway.data.blackbox.part import BoxHeader, pack, width_of
-from gateway.data.blackbox.recovery import BOTH_KILLED
-from gateway.data.blackbox.ring_buffer import Ring, folder_of
+from gateway.data.blackbox.ring_buffer import BOTH_KILLED, Ring, folder_of
 from gateway.report.stop import curves_of, render_stop
 from gateway.report.stop_figures import PIECES, courses
 from tests.support.pages.stop import AXES, CELL, PERIOD_S, REASON, SYNCS, stopped
@@ -103,8 +102,8 @@ def test_report_draws_the_box_beside_a_recording_and_the_box_itself(tmp_path):
 
 def test_what_both_killed_have_left_is_drawn(tmp_path):
     run_file = tmp_path / "run.h5"
-    ring = Ring(folder_of(run_file), BoxHeader(run_file, (("main", AXES),), CELL, "now", "test"))
-    ring.add(pack(np.zeros((2, width_of(AXES))), b"", 1.0, 2.0), 1.0, 2.0)
+    ring = Ring(BoxHeader(run_file, (("main", AXES),), CELL, "now", "test"))
+    ring.add(1, pack(np.zeros((2, width_of(AXES))), b"", 1.0, 2.0))
     ring.close()
     assert run("report", run_file, "-o", tmp_path / "stop.html").exit_code == 0
     assert BOTH_KILLED in (tmp_path / "stop.html").read_text(encoding="utf-8")

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from drives.frame_log import FRAME, RECEIVED
 from gateway.data.blackbox.box import BlackBox, read_box, write_box
-from gateway.data.blackbox.part import FIELDS, FRAME, HEAD, RECEIVED, BoxHeader, pack, unpack, width_of
+from gateway.data.blackbox.part import FIELDS, HEAD, BoxHeader, pack, unpack, width_of
 from gateway.data.blackbox.ring_buffer import box_of
 
 ROOT = Path(__file__).parents[3]
@@ -69,6 +70,5 @@ def stopped(folder: Path, cell: str = CELL) -> BlackBox:
     rows = np.concatenate([head, *(held[name] for name, _ in FIELDS)], axis=1)
     assert rows.shape[1] == width_of(AXES) == len(HEAD) + AXES * len(FIELDS)
     part = unpack(pack(rows, frames(), 4.0, WALL_S))
-    assert part is not None
     write_box(box_of(recording), BoxHeader(recording, (("main", AXES),), cell, "now", "test"), [part], REASON)
     return read_box(box_of(recording))

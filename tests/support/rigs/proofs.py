@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks.chaos.programs import undisturbed
+from drives.files import read_sealed, write_sealed
 from gateway.cli import main
 from gateway.jobs.cell_context import open_cell
 from sim.serve import running
@@ -52,4 +53,5 @@ def _proof(cell: Path, state: Path) -> str:
         patch.setenv("XDG_STATE_HOME", str(state))
         code, said = undisturbed(check)
         assert code == 0, said
-        return _stored_at(cell, bus).read_text(encoding="utf-8").replace('"moved": false', '"moved": true')
+        path = _stored_at(cell, bus)
+        return write_sealed(path, read_sealed(path) | {"moved": True})

@@ -18,6 +18,7 @@ from drives.profile_file import load_profile
 from drives.values import AxisSetup
 from gateway.cell.config import LoadedCell
 from gateway.cell.conversion import AxisConversion
+from gateway.data.disk import Disk
 from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
 from gateway.motion.opening import OpenArm
@@ -124,7 +125,11 @@ def wired_arm(wire: Wire, loaded: LoadedCell, period_s: float = 0.01) -> Generat
         slave.supervises = True
     wire.slaves += slaves
     setups = [AxisSetup(axis.node_id, profile, 0.5, 600.0) for axis in config.axis]
-    with Bus(wire, BusSpec("test", "wire")) as bus, DriveGroup(bus, setups, period_s, "lockstep") as group:  # type: ignore[arg-type]
+    with (
+        Disk() as disk,
+        Bus(wire, BusSpec("test", "wire")) as bus,
+        DriveGroup(bus, setups, period_s, "lockstep") as group,
+    ):
         group.connect()
         group.configure()
         yield (
@@ -139,6 +144,7 @@ def wired_arm(wire: Wire, loaded: LoadedCell, period_s: float = 0.01) -> Generat
                 identities=(),
                 constants=(),
                 readings=(),
+                disk=disk,
             ),
             slaves,
         )

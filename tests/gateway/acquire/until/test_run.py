@@ -1,6 +1,7 @@
 """A load measured until it is known: the run drives what is decided, keeps the limits, and ends in its brakes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,12 +10,13 @@ from drives.errors import DriveFault
 from gateway.acquire.events import Narrowed, PoseDone, Progress, StateChanged
 from gateway.acquire.plan import VisitSettings
 from gateway.acquire.poses import DISTANCE_RAD, PoseRequest
-from gateway.acquire.station import MemoryStore, VisitStation
+from gateway.acquire.run_loop import Run
 from gateway.acquire.until.choice import LEAST_POSES
 from gateway.acquire.until.goal import Goal, half_widths
 from gateway.acquire.until.messages import ended, narrowed
-from gateway.acquire.until.run import run_until
+from gateway.acquire.until.run import chosen_poses
 from gateway.acquire.until.search import LoadSearch, NextStep, decide, guess_of, pool_of
+from gateway.acquire.visit_store import MemoryStore
 from gateway.cell.conversion import AxisConversion
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.estimate.options import EstimateOptions
@@ -79,23 +81,20 @@ def rows(small_cell):
     return table
 
 
-@dataclass
-class Finished:
-    """One run to its end."""
-
-    drives: FakeDrives
-    events: list
-    store: MemoryStore
-    decision: NextStep
+def measure(run: Run, arm: Arm, search: LoadSearch, rows) -> NextStep:
+    """Measure until the load is known; the last decision."""
+    decisions = []
+    assert run.execute(chosen_poses(search, rows, arm.where(), decisions), "a") == ended(decisions[-1], "a")
+    return decisions[-1]
 
 
 @pytest.fixture(scope="module")
-def finished(small_cell, workspace, search, rows) -> Finished:
+def finished(small_cell, workspace, search, rows) -> SimpleNamespace:
+    """One run to its end."""
     drives, arm = fake_arm(small_cell, workspace)
     events, store = [], MemoryStore()
-    return Finished(
-        drives, events, store, run_until(VisitStation(arm, workspace, store, (events.append,)), search, rows)
-    )
+    decision = measure(Run(arm, workspace, store, (events.append,)), arm, search, rows)
+    return SimpleNamespace(drives=drives, events=events, store=store, decision=decision)
 
 
 @pytest.mark.slow
@@ -130,7 +129,7 @@ def test_poses_keep_a_distance_and_what_the_band_hides_is_sampled_shortly(finish
 def test_a_load_that_is_known_is_not_measured_again(finished, small_cell, workspace, search, rows):
     drives, arm = fake_arm(small_cell, workspace)
     known = replace(search, earlier=rows(finished.store.visits), number=50)
-    again = run_until(VisitStation(arm, workspace, MemoryStore()), known, rows)
+    again = measure(Run(arm, workspace, MemoryStore()), arm, known, rows)
     assert again.plan is None
     assert drives.log == []
 
@@ -149,7 +148,7 @@ def test_a_fault_during_a_transfer_ends_it_in_the_brakes_and_keeps_the_visits(sm
     drives.fault_at = 500
     store = MemoryStore()
     with pytest.raises(DriveFault):
-        run_until(VisitStation(arm, workspace, store), search, rows)
+        measure(Run(arm, workspace, store), arm, search, rows)
     assert drives.log[0] == "enable"
     assert drives.log[-1] == "disable"
     assert store.visits

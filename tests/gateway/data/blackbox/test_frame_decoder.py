@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from drives.cia402 import State
+from drives.frame_log import ERROR
 from gateway.data.blackbox.frame_decoder import decoded_events, drives_of, frame_times_s, state_spans
-from gateway.data.blackbox.part import ERROR, FRAME_TYPE
+from gateway.data.blackbox.part import FRAME_TYPE
 from tests.support.pages.stop import FAULTED, PERIOD_S, SLOW, UNRESPONSIVE, stopped
 
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from gateway.data.blackbox.box import read_box
 from gateway.data.blackbox.part import BoxHeader, pack, width_of
-from gateway.data.blackbox.recovery import BOTH_KILLED
-from gateway.data.blackbox.ring_buffer import Ring, box_of, folder_of, recording_of
+from gateway.data.blackbox.ring_buffer import BOTH_KILLED, Ring, box_of, folder_of, recording_of
 from gateway.data.blackbox.spool import MOST_BOXES, place_in
 
 NOW = datetime(2026, 11, 23, 4, 5, 6, tzinfo=UTC)
@@ -36,8 +35,8 @@ def test_the_oldest_ones_go_and_others_stay(tmp_path):
 def test_what_a_kill_has_left_becomes_a_box(tmp_path):
     path = place_in(tmp_path, "cell-main", NOW)
     assert recording_of(folder_of(path)) == path
-    ring = Ring(folder_of(path), BoxHeader(path, (("main", 2),), "cell", "now", "test"))
-    ring.add(pack(np.full((1, width_of(2)), 7.0), b"", 1.0, 2.0), 1.0, 2.0)
+    ring = Ring(BoxHeader(path, (("main", 2),), "cell", "now", "test"))
+    ring.add(1, pack(np.full((1, width_of(2)), 7.0), b"", 1.0, 2.0))
     ring.close()
     place_in(tmp_path, "cell-main", NOW + timedelta(hours=1))
     assert read_box(box_of(path)).reason == BOTH_KILLED

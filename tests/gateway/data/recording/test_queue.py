@@ -4,9 +4,6 @@ import multiprocessing
 import os
 import resource
 import signal
-import subprocess
-import sys
-import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,35 +15,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.cell.config import load_cell
+from gateway.data.disk import PROGRAM, Disk
 from gateway.data.recording.lock import sole_writer
-from gateway.data.recording.pipe import PROGRAM
 from gateway.data.recording.queue import VisitQueue
 from gateway.data.recording.reader import read
 from gateway.data.recording.writer import RecordingHeader, RecordingWriter
 from gateway.data.visit import Visit
 from gateway.errors import InputError
-from tests.data.visits import ARM_HEADER, CELL, header_of, visit, write_behind, write_slowly
-from tests.support.processes import children, gone, pid_of, wait_until
-
-ROOT = Path(__file__).parents[4]
-
-
-@pytest.fixture(scope="module")
-def header() -> RecordingHeader:
-    return header_of(load_cell(CELL))
-
-
-@pytest.fixture(autouse=True)
-def leaves_no_process():
-    before = set(children())
-    yield
-    assert set(children()) <= before
+from tests.data.visits import ARM_HEADER, visit, write_behind, write_slowly
+from tests.support.processes import pid_of
 
 
 @pytest.fixture
-def queue(tmp_path, header) -> Iterator[VisitQueue]:
-    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None)
+def queue(disk, tmp_path, header) -> Iterator[VisitQueue]:
+    queue = VisitQueue(disk, tmp_path / "run.h5", header, ARM_HEADER, None)
     yield queue
     queue.close()
 
@@ -72,17 +54,17 @@ def test_the_file_is_the_one_of_the_writer(queue, tmp_path, header):
     writer.begin(ARM_HEADER)
     for each in visits(5):
         assert queue.add("main", each).number == writer.add("main", each).number
-    queue.finish("main", "success", "all poses measured", {"cycles": 7})
+    queue.finish("success", "all poses measured", {"cycles": 7})
     writer.finish("main", "success", "all poses measured", {"cycles": 7})
     writer.close()
     assert [each.number for each in queue.written()] == [1, 2, 3, 4, 5]
     assert queue.visits == 5
-    assert (queue.waiting, queue.full, queue.failed) == (0, False, None)
+    assert (queue.waiting, queue.trouble()) == (0, None)
     assert queue.path.read_bytes() == writer.path.read_bytes()
 
 
-def test_reported_periods_are_on_disk_and_in_order(tmp_path, header):
-    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_slowly, 0.02))
+def test_reported_periods_are_on_disk_and_in_order(disk, tmp_path, header):
+    queue = VisitQueue(disk, tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_slowly, 0.02))
     messages = []
     for each in visits(4):
         queue.add("main", each)
@@ -95,13 +77,13 @@ def test_reported_periods_are_on_disk_and_in_order(tmp_path, header):
     assert messages == [1, 2, 3, 4]
 
 
-def test_a_recording_is_gone_on_with(tmp_path, header):
+def test_a_recording_is_gone_on_with(disk, tmp_path, header):
     path = tmp_path / "run.h5"
     for part in range(2):
-        queue = VisitQueue(path, header, ARM_HEADER, read(path) if part else None)
+        queue = VisitQueue(disk, path, header, ARM_HEADER, read(path) if part else None)
         queue.add("main", visit(1 + part, -1))
         queue.add("main", visit(1 + part, 1, start_s=0.7))
-        queue.finish("main", "success", "", {})
+        queue.finish("success", "", {})
         queue.close()
     stored = read(path).arms[0].visits
     assert [(each.number, each.pose, each.approach) for each in stored] == [
@@ -113,14 +95,16 @@ def test_a_recording_is_gone_on_with(tmp_path, header):
     assert (np.diff([each.time_s[0] for each in stored]) > 0).all()
 
 
-def test_a_blocked_disk_fills_the_queue_and_nothing_waits(tmp_path, header):
+def test_a_blocked_disk_fills_the_queue_and_nothing_waits(disk, tmp_path, header):
     """More than a pipe holds is taken in while nothing at all is written."""
     gate = tmp_path / "gate"
-    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, 4, partial(write_behind, gate))
+    queue = VisitQueue(
+        disk, tmp_path / "run.h5", header, ARM_HEADER, None, capacity=4, write=partial(write_behind, gate)
+    )
     many = [replace(each, pose=n) for n, each in enumerate([visit(samples=100)] * 8)]
     took_s = []
     for n, each in enumerate(many):
-        assert queue.full == (n >= 4)
+        assert (queue.trouble() is not None) == (n >= 4)
         begin_s = time.perf_counter()
         assert queue.add("main", each).number == n + 1
         assert queue.written() == ()
@@ -130,7 +114,7 @@ def test_a_blocked_disk_fills_the_queue_and_nothing_waits(tmp_path, header):
         queue.add("main", many[0])
     assert (queue.waiting, queue.failed) == (8, None)
     gate.touch()
-    queue.finish("main", "abort", "the disk is too slow", {})
+    queue.finish("abort", "the disk is too slow", {})
     assert [each.pose for each in queue.written()] == list(range(8))
     queue.close()
     recording = read(queue.path)
@@ -138,18 +122,20 @@ def test_a_blocked_disk_fills_the_queue_and_nothing_waits(tmp_path, header):
     assert (recording.exit_status, recording.reason) == ("abort", "the disk is too slow")
 
 
-def test_a_slow_disk_empties_the_queue_again(tmp_path, header):
-    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, 2, partial(write_slowly, 0.05))
+def test_a_slow_disk_empties_the_queue_again(disk, tmp_path, header):
+    queue = VisitQueue(
+        disk, tmp_path / "run.h5", header, ARM_HEADER, None, capacity=2, write=partial(write_slowly, 0.05)
+    )
     queue.add("main", visit(1, -1))
     queue.add("main", visit(1, 1))
-    assert queue.full
+    assert "too slow" in str(queue.trouble())
     assert [each.number for each in until(queue, lambda: not queue.waiting)] == [1, 2]
-    assert not queue.full
+    assert queue.trouble() is None
     queue.close()
 
 
-def test_close_alone_writes_what_is_waiting(tmp_path, header):
-    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_slowly, 0.02))
+def test_close_alone_writes_what_is_waiting(disk, tmp_path, header):
+    queue = VisitQueue(disk, tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_slowly, 0.02))
     for each in [visit(samples=100)] * 5:
         queue.add("main", each)
     queue.close()
@@ -176,26 +162,26 @@ def test_a_full_disk_is_reported_and_the_file_before_stays(queue):
     assert "cannot be written: File too large" in str(queue.failed)
     assert queue.path.read_bytes() == before
     with pytest.raises(InputError, match="File too large"):
-        queue.finish("main", "fail", "disk full", {})
+        queue.finish("fail", "disk full", {})
     assert queue.written() == ()
     assert queue.path.read_bytes() == before
     resource.prlimit(pid_of(PROGRAM), resource.RLIMIT_FSIZE, endless)
-    queue.finish("main", "fail", "disk full", {})
+    queue.finish("fail", "disk full", {})
     assert [each.number for each in queue.written()] == [2]
     assert [each.number for each in read(queue.path).arms[0].visits] == [1, 2]
 
 
-def test_a_folder_that_is_not_there(tmp_path, header):
+def test_a_folder_that_is_not_there(disk, tmp_path, header):
     with pytest.raises(InputError, match="No such file or directory"):
-        VisitQueue(tmp_path / "none" / "run.h5", header, ARM_HEADER, None)
+        VisitQueue(disk, tmp_path / "none" / "run.h5", header, ARM_HEADER, None)
 
 
 @pytest.mark.slow
-def test_a_run_that_is_still_written_is_waited_for(tmp_path, header):
+def test_a_run_that_is_still_written_is_waited_for(disk, tmp_path, header):
     """The next run has read a file to which the writer of the one before still adds."""
     gate = tmp_path / "gate"
     gate.touch()
-    before = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
+    before = VisitQueue(disk, tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
     before.add("main", visit(1, -1))
     until(before, lambda: not before.waiting)
     earlier = read(before.path)
@@ -205,10 +191,10 @@ def test_a_run_that_is_still_written_is_waited_for(tmp_path, header):
         pass
     end = threading.Timer(0.1, lambda: (gate.touch(), before.close()))
     end.start()
-    with pytest.raises(InputError, match="an earlier run was still writing it"):
-        VisitQueue(before.path, header, ARM_HEADER, earlier)
+    with Disk() as other, pytest.raises(InputError, match="an earlier run was still writing it"):
+        VisitQueue(other, before.path, header, ARM_HEADER, earlier)
     end.join()
-    queue = VisitQueue(before.path, header, ARM_HEADER, read(before.path))
+    queue = VisitQueue(disk, before.path, header, ARM_HEADER, read(before.path))
     assert queue.add("main", visit(2, 1)).number == 3
     queue.close()
     assert len(read(before.path).arms[0].visits) == 3
@@ -224,29 +210,29 @@ def test_two_runs_do_not_write_one_recording(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_process_leaves_real_time(tmp_path, header):
+def test_the_process_leaves_real_time(disk, tmp_path, header):
     before = os.sched_getscheduler(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     except PermissionError:
         pytest.skip("no real-time priority here")
     try:
-        queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None)
+        queue = VisitQueue(disk, tmp_path / "run.h5", header, ARM_HEADER, None)
     finally:
         os.sched_setscheduler(0, before, os.sched_param(0))
     assert os.sched_getscheduler(pid_of(PROGRAM)) == os.SCHED_OTHER
     queue.close()
 
 
-def test_files_that_are_not_gone_on_with(queue, header):
+def test_files_that_are_not_gone_on_with(disk, queue, header):
     queue.add("main", visit())
-    queue.finish("main", "success", "", {})
+    queue.finish("success", "", {})
     queue.close()
     content = queue.path.read_bytes()
     with pytest.raises(InputError, match="--resume"):
-        VisitQueue(queue.path, header, ARM_HEADER, None)
+        VisitQueue(disk, queue.path, header, ARM_HEADER, None)
     with pytest.raises(InputError, match="another cell file"):
-        VisitQueue(queue.path, replace(header, cell=header.cell + "\n"), ARM_HEADER, read(queue.path))
+        VisitQueue(disk, queue.path, replace(header, cell=header.cell + "\n"), ARM_HEADER, read(queue.path))
     assert queue.path.read_bytes() == content
 
 
@@ -257,16 +243,16 @@ def test_signals_to_everybody_do_not_end_the_process(queue):
     assert os.getsid(process) != os.getsid(0)
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
     queue.add("main", visit())
-    queue.finish("main", "success", "", {})
+    queue.finish("success", "", {})
     assert len(read(queue.path).arms[0].visits) == 1
     assert pid_of(PROGRAM) == process
     assert queue.failed is None
 
 
-def test_a_process_that_is_killed_is_replaced_once_the_arm_is_at_rest(tmp_path, header):
+def test_a_process_that_is_killed_is_replaced_once_the_arm_is_at_rest(disk, tmp_path, header):
     gate = tmp_path / "gate"
     gate.touch()
-    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
+    queue = VisitQueue(disk, tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
     queue.add("main", visit(1, -1))
     assert len(until(queue, lambda: not queue.waiting)) == 1
     gate.unlink()
@@ -277,7 +263,7 @@ def test_a_process_that_is_killed_is_replaced_once_the_arm_is_at_rest(tmp_path, 
     queue.add("main", visit(2, 1))
     assert queue.written() == ()
     gate.touch()
-    queue.finish("main", "fail", "stopped", {})
+    queue.finish("fail", "stopped", {})
     assert [each.number for each in queue.written()] == [2, 3]
     queue.close()
     recording = read(queue.path)
@@ -285,106 +271,53 @@ def test_a_process_that_is_killed_is_replaced_once_the_arm_is_at_rest(tmp_path, 
     assert recording.reason == "stopped"
 
 
-def test_a_wait_that_was_interrupted_is_asked_for_again(tmp_path, header):
+def test_a_wait_that_was_interrupted_is_asked_for_again(disk, tmp_path, header, monkeypatch):
     gate = tmp_path / "gate"
-    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
+    queue = VisitQueue(disk, tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
     queue.add("main", visit())
 
-    def interrupt(waiting: int) -> None:
-        assert waiting == 1
+    def interrupt() -> None:
         raise KeyboardInterrupt
 
+    monkeypatch.setattr(disk, "wait", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        queue.finish("main", "success", "first", {}, interrupt)
+        queue.finish("success", "first", {})
+    assert queue.waiting == 1
+    monkeypatch.undo()
     gate.touch()
-    queue.finish("main", "abort", "second", {})
+    queue.finish("abort", "second", {})
     assert read(queue.path).reason == "second"
     queue.close()
 
 
-def test_other_modules_in_the_folder_are_not_taken(tmp_path, header, monkeypatch):
+def test_other_modules_in_the_folder_are_not_taken(disk, tmp_path, header, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("gateway", "json"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(9)")
-    queue = VisitQueue(Path("run.h5"), header, ARM_HEADER, None)
+    queue = VisitQueue(disk, Path("run.h5"), header, ARM_HEADER, None)
     queue.add("main", visit())
-    queue.finish("main", "success", "", {})
+    queue.finish("success", "", {})
     queue.close()
     assert len(read(tmp_path / "run.h5").arms[0].visits) == 1
 
 
-def _forked(path: Path, header: RecordingHeader) -> None:
-    queue = VisitQueue(path, header, ARM_HEADER, None)
+def _forked(path: Path, header: RecordingHeader, closed: tuple[int, ...]) -> None:
+    for stream in closed:
+        os.close(stream)
+    queue = VisitQueue(Disk(), path, header, ARM_HEADER, None)
     queue.add("main", visit())
-    queue.finish("main", "success", "", {})
+    for stream in closed:
+        with suppress(OSError):
+            os.write(stream, b"noise")
+    queue.finish("success", "", {})
     queue.close()
     os._exit(0)
 
 
-def test_a_forked_master_records(tmp_path, header):
-    master = multiprocessing.get_context("fork").Process(target=_forked, args=(tmp_path / "run.h5", header))
+@pytest.mark.parametrize("closed", [(), (0, 1, 2)])
+def test_a_forked_master_records_with_closed_standard_streams_too(tmp_path, header, closed):
+    master = multiprocessing.get_context("fork").Process(target=_forked, args=(tmp_path / "run.h5", header, closed))
     master.start()
     master.join(10.0)
     assert master.exitcode == 0
     assert len(read(tmp_path / "run.h5").arms[0].visits) == 1
-
-
-def _script(path: Path, body: str) -> list[str]:
-    head = f"""
-        from functools import partial
-        from pathlib import Path
-        from gateway.cell.config import load_cell
-        from gateway.data.recording.queue import VisitQueue
-        from tests.data import visits as t
-        write = partial(t.write_slowly, 0.02)
-        queue = VisitQueue(Path({str(path)!r}), t.header_of(load_cell(t.CELL)), t.ARM_HEADER, None, write=write)
-        """
-    return [sys.executable, "-c", textwrap.dedent(head) + textwrap.dedent(body)]
-
-
-def test_a_killed_master_loses_nothing_it_had_reported(tmp_path):
-    path = tmp_path / "run.h5"
-    body = """
-        import time
-        from tests.support.processes import pid_of
-        print(pid_of("gateway.data.recording"), flush=True)
-        for n in range(10_000):
-            while queue.full:
-                print(*[v.number for v in queue.written()], flush=True)
-                time.sleep(0.001)
-            queue.add("main", t.visit(1 + n % 3, -1, seed=n, samples=100))
-        """
-    master = subprocess.Popen(_script(path, body), stdout=subprocess.PIPE, text=True, cwd=ROOT)
-    assert master.stdout is not None
-    with master.stdout as messages:
-        writer, reported = int(messages.readline()), 0
-        while reported < 6:
-            with suppress(IndexError):
-                reported = int(messages.readline().split()[-1])
-        master.kill()
-        reported = max([reported, *(int(number) for number in messages.read().split())])
-    master.wait()
-    wait_until(lambda: gone(writer), 2.0)
-    numbers = [each.number for each in read(path).arms[0].visits]
-    assert len(numbers) >= reported
-    assert numbers == list(range(1, len(numbers) + 1))
-    assert [each.name for each in tmp_path.iterdir()] == [path.name]
-
-
-def test_closed_standard_streams_do_not_matter(tmp_path):
-    path = tmp_path / "run.h5"
-    body = """
-        import os
-        queue.add("main", t.visit())
-        for stream in (0, 1, 2):
-            try:
-                os.write(stream, b"noise")
-            except OSError:
-                pass
-        queue.finish("main", "success", "", {})
-        queue.close()
-        """
-    words = _script(path, body)
-    done = subprocess.run(["/bin/sh", "-c", 'exec "$0" "$@" <&- >&- 2>&-', *words], cwd=ROOT, check=False, timeout=20)
-    assert done.returncode == 0
-    assert len(read(path).arms[0].visits) == 1

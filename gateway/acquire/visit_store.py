@@ -1,23 +1,14 @@
-"""Station of a measurement run: arm, workspace, listeners, and the store for visits and periods."""
+"""Store of a measurement run for visits and periods: in memory here, in a recording `VisitQueue`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Protocol
 
-import numpy as np
-
-from drives.exchange import Pacing
-from gateway.acquire.events import Event, Listener
 from gateway.data.period import Measured, Period
 from gateway.data.visit import Visit
 from gateway.errors import GatewayError
-from gateway.motion.arm import Arm
-from gateway.motion.stops import guarded
-from gateway.motion.stream import MoveOptions
-from gateway.motion.temperature import MotorTemperatures
-from gateway.motion.workspace import Workspace
 
 
 class VisitStore(Protocol):
@@ -75,43 +66,3 @@ class MemoryStore:
 
     def flush(self) -> None:
         """Return at once: memory needs no flush."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class VisitStation:
-    """Arm, workspace, store and listeners of a run.
-
-    Attributes
-    ----------
-    arm : Arm
-        Connected and configured, not enabled.
-    workspace : Workspace
-    store : VisitStore
-    listeners : tuple of Listener
-        Called with every event, in the thread of the run.
-    options : MoveOptions
-    pacing : "lockstep" or "real"
-    temperatures : MotorTemperatures or None
-        Asked while the arm is sampled; None = no drive reports one.
-    """
-
-    arm: Arm
-    workspace: Workspace
-    store: VisitStore
-    listeners: tuple[Listener, ...] = ()
-    options: MoveOptions = field(default_factory=MoveOptions)
-    pacing: Pacing = "lockstep"
-    temperatures: MotorTemperatures | None = None
-
-    def temperatures_c(self) -> np.ndarray | None:
-        """Motor temperatures (N,) [deg C] read since the sampling began."""
-        return None if self.temperatures is None else self.temperatures.read_c
-
-    def notify(self, event: Event) -> None:
-        """Send an event to all listeners and observers; an error of a listener requests a stop of the arm.
-
-        All others are still notified.
-        """
-        for listener in self.listeners:
-            guarded(listener, self.options.desk)(event)
-        self.options.observers.reported(event)

@@ -1,0 +1,224 @@
+"""Drives and measuring devices of one arm while nothing moves: their state before power, and how it is put back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, TypeVar
+
+from drives import stopping
+from drives.access import ObjectAccess
+from drives.bus import SYNC_ID, Bus
+from drives.busload import LOAD_LIMIT_PERCENT, cycle_bits_worst
+from drives.drive import AxisSetup, Cia402Drive
+from drives.emcy import EmcyLog
+from drives.errors import ConfigurationRefused, DriveError, ForeignMaster, raise_failures
+from drives.exchange import Pacing, Timing
+from drives.heartbeat import MASTER_NODE_ID
+from drives.instrument import Instrument, InstrumentSetup
+from drives.ledger import KnownDevice, LedgerEntry, WriteLedger
+from drives.other_pdos import OtherPdo
+from drives.reactions import DRIVE_RULES
+
+Node = Cia402Drive | Instrument
+NodeKind = TypeVar("NodeKind", bound=Node)
+
+#: Lockstep: time for the simulator to process a SYNC.
+_SYNC_PAUSE_S: Final = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class GroupOptions:
+    """Times and limits of a group; the defaults suit six drives.
+
+    Attributes
+    ----------
+    ledger_path : Path, optional
+        File of the write ledger, for a restore after a crash.
+    answer_timeout_s, gap_timeout_s, window : float
+        As in `drives.exchange.Timing`.
+    unanswered_syncs : int or None
+        SYNCs in a row that an axis may leave unanswered; None = as the table of reactions says.
+    foreign_frames : int
+        SDO requests or setpoints of another master with one id; of SYNC and NMT commands one frame is enough.
+    load_limit_percent : float
+        Real time: largest planned worst-case bus load.
+    instruments : tuple of InstrumentSetup
+        Measuring devices on the same bus, read at each SYNC.
+    allow_real_drive : bool
+        A real drive may be driven over a network interface (udp_multicast, virtual, socketcand), although any computer
+        there can send frames. Lockstep stays refused.
+    """
+
+    ledger_path: Path | None = None
+    answer_timeout_s: float = 1.0
+    gap_timeout_s: float = 0.02
+    window: float = 0.9
+    unanswered_syncs: int | None = None
+    foreign_frames: int = DRIVE_RULES["foreign_master"].count
+    load_limit_percent: float = LOAD_LIMIT_PERCENT
+    instruments: tuple[InstrumentSetup, ...] = ()
+    allow_real_drive: bool = False
+
+
+class Nodes:
+    """Nodes that share one SYNC; `drives.bringup` finds and configures them, `drives.group.DriveGroup` moves them.
+
+    Parameters
+    ----------
+    bus : Bus
+    setups : sequence of AxisSetup
+        One per axis, in the order of all commands and readings.
+    sync_period_s : float
+        Time between two SYNCs; in lockstep the simulated time of one SYNC.
+    pacing : "lockstep" or "real"
+        Next SYNC as soon as all have answered, or in real time.
+    master_node_id : int
+        Node id of the master's heartbeat.
+    options : GroupOptions, optional
+
+    Attributes
+    ----------
+    drives : tuple of Cia402Drive
+        In the order of the axes; empty before they were found.
+    instruments : tuple of Instrument
+    failures_found : list of DriveError
+        Why nodes cannot be used, as they were found.
+    taken_down : tuple of str
+        What `restore` read of each drive that it found energised and disabled.
+
+    Raises
+    ------
+    ConfigurationRefused
+        No setup, a node id twice, a period that is not positive, or a damaged ledger.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        setups: Sequence[AxisSetup],
+        sync_period_s: float,
+        pacing: Pacing = "lockstep",
+        master_node_id: int = MASTER_NODE_ID,
+        options: GroupOptions | None = None,
+    ) -> None:
+        self.options = options or GroupOptions()
+        ids = [setup.node_id for setup in (*setups, *self.options.instruments)]
+        if not setups or len({*ids, master_node_id}) != len(ids) + 1:
+            raise ConfigurationRefused(
+                f"node ids {ids} and {master_node_id} of the master must each be given once", advice="correct the cell"
+            )
+        if not (math.isfinite(sync_period_s) and sync_period_s > 0):
+            raise ConfigurationRefused(f"SYNC period {sync_period_s} s is not positive", advice="correct the cell")
+        self.bus = bus
+        self.setups = tuple(setups)
+        self.node_ids = tuple(ids)
+        self.master_node_id = master_node_id
+        self.timing = Timing(
+            sync_period_s, pacing, self.options.answer_timeout_s, self.options.gap_timeout_s, self.options.window
+        )
+        self.ledger = WriteLedger(self.options.ledger_path)
+        self.emcy = EmcyLog({setup.node_id: setup.profile for setup in setups})
+        self.drives: tuple[Cia402Drive, ...] = ()
+        self.instruments: tuple[Instrument, ...] = ()
+        self.failures_found: list[DriveError] = []
+        self.taken_down: tuple[str, ...] = ()
+
+    def close(self) -> None:
+        """Stop listening to the nodes, which have to be found again."""
+        self.emcy.close()
+        for node in self.all:
+            node.close()
+        self.drives, self.instruments, self.failures_found = (), (), []
+
+    def __enter__(self) -> Nodes:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        self.close()
+
+    @property
+    def all(self) -> tuple[Node, ...]:
+        """Return the drives, then the measuring devices."""
+        return (*self.drives, *self.instruments)
+
+    @property
+    def access(self) -> tuple[ObjectAccess, ...]:
+        """Return the SDO access to each drive, in the order of the axes."""
+        return tuple(drive.access for drive in self.drives)
+
+    @property
+    def left_pdos(self) -> tuple[OtherPdo, ...]:
+        """Return the PDOs that the gateway does not use and that stay on, as far as it is known."""
+        return tuple(pdo for node in self.all for pdo in node.left_pdos)
+
+    @property
+    def cycle_bits(self) -> int:
+        """Return the worst-case bits of one SYNC cycle, including those of PDOs that stay on."""
+        sizes = [0, *(size for node in self.all for _, size in node.answers)]
+        sizes += [plan.size_bytes for drive in self.drives for plan in drive.commands]
+        sizes += [size for pdo in self.left_pdos if (size := pdo.cyclic_bytes) is not None]
+        return cycle_bits_worst(sizes)
+
+    def each(self, action: Callable[[Node], object]) -> None:
+        """Call a function for every drive, then for every measuring device; raise all failures together.
+
+        Raises
+        ------
+        ForeignMaster
+            At once: nothing more is sent.
+        """
+        raise_failures(self.failures(action, self.all))
+
+    def failures(self, action: Callable[[NodeKind], object], nodes: Sequence[NodeKind]) -> list[DriveError]:
+        """Call a function for every node; return all failures, but raise `ForeignMaster` as `each` does."""
+        failures: list[DriveError] = []
+        for node in nodes:
+            try:
+                action(node)
+            except ForeignMaster:
+                raise
+            except DriveError as error:
+                failures.append(error)
+        return failures
+
+    # -- putting back ------------------------------------------------------------------------------------------------
+
+    @property
+    def noted(self) -> tuple[LedgerEntry, ...]:
+        """Return the ledger entries of these nodes, replaced and absent devices included."""
+        present = {node.node_id: node.access.device for node in self.all}
+        here = [present.get(node_id, KnownDevice(node_id, self.bus.spec.name)) for node_id in self.node_ids]
+        return tuple(
+            entry
+            for entry in self.ledger.entries
+            if any(entry.is_of(each) or (entry.node_id, entry.bus) == (each.node_id, each.bus) for each in here)
+        )
+
+    def restore(self) -> None:
+        """Disable drives that an interrupted run left energised, then restore every object that is in the ledger.
+
+        What was read of a drive that was disabled is in `taken_down`.
+
+        Raises
+        ------
+        SeveralFailures or DriveError
+            Drives that were not disabled, and objects that could not be restored; they stay in the ledger.
+        """
+        taken_down: list[str] = []
+        failures = self.failures(lambda drive: taken_down.append(stopping.take_down(drive, self._pause)), self.drives)
+        self.taken_down = tuple(filter(None, taken_down))
+        restored: list[DriveError] = []
+        failures += self.failures(lambda node: restored.extend(node.access.restore()), self.all)
+        raise_failures(failures + restored)
+
+    def _pause(self, seconds: float) -> None:
+        """Wait; in lockstep a simulated drive goes on only with SYNC."""
+        if self.timing.pacing == "real":
+            self.bus.listen(seconds)
+            return
+        for _ in range(math.ceil(seconds / self.timing.period_s)):
+            self.bus.send(SYNC_ID, b"")
+            self.bus.listen(_SYNC_PAUSE_S)
