@@ -7,7 +7,7 @@ SIM_STAMP := $(VENV)/.sim-stamp
 PYTHON_OF_VENV := test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-# Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
+# Tests start the programs hundreds of times: without byte code on disk each start compiles them again.
 export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: venv demo test test-slow test-diagnose test-others lint docs bench blind blind-nature blind-moving naming loads golden calibrated conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
@@ -51,6 +51,7 @@ lint: venv
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+	$(BIN)/codespell -D - -D benchmarks/words.txt
 	$(BIN)/python -m benchmarks.language
 	$(BIN)/python -m benchmarks.ceilings
 
@@ -128,7 +129,7 @@ fleet: venv
 live: venv
 	$(BIN)/python -m benchmarks.live --out out/live
 
-# Every fault that stops an arm, SIGKILL of the master included: what lies beside the recording afterwards; four minutes.
+# Every fault that stops an arm, SIGKILL of the master included: what is beside the recording afterwards; four minutes.
 blackbox: venv
 	$(BIN)/python -m benchmarks.blackbox --out out/blackbox
 

@@ -7,7 +7,6 @@ kind. Faults of the master itself run in a process of its own, in real time.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import signal
 import sys
@@ -26,22 +25,22 @@ from benchmarks.chaos.processes import Drives, Job, Master, drives
 from benchmarks.chaos.rig import Rig, rig, with_real_pacing
 from benchmarks.chaos.scenarios import (
     BY_THE_CLOCK_TOO,
-    DETAILS,
     LOCKSTEP_POSES,
     LOCKSTEP_POSES_LONG,
     Beginning,
     kinds,
+    scenario,
     short_plan,
 )
-from benchmarks.figure import figure
+from benchmarks.figure import conclude, figure
 from drives.bus import BusSpec
 from drives.errors import DriveError
 from gateway.acquire.session import RecordRequest, record
 from gateway.data.blackbox.box import BlackBox, read_box
 from gateway.data.blackbox.ring_buffer import BOTH_KILLED, KILLED, box_of, folder_of, recover_box
 from gateway.errors import GatewayError, InputError
-from gateway.motion.opening import BusOverride, open_arm
-from sim.faults import KINDS, Fault
+from gateway.motion.opening import open_arm
+from sim.faults import KINDS
 
 NODE: Final = 3
 #: The samples end so shortly before the stop at most [SYNCs]: a drive that does not respond has been waited for.
@@ -76,20 +75,20 @@ class Stop:
 
 def stopping() -> list[str]:
     """Kinds that stop a moving arm in lockstep."""
-    return [kind for kind in kinds() if KINDS[kind].reaction_in("lockstep") == "stops"]
+    return [kind for kind in kinds() if KINDS[kind].reaction == "stops"]
 
 
 def stop_by(made: Rig, kind: str, folder: Path) -> Stop:
     """Record until the fault stops the arm, and check the files beside the recording."""
     made.renew()
-    fault = Fault(kind, **({"node": NODE, "seed": 1} | DETAILS.get(kind, {})))
+    fault = scenario(kind, NODE, 1)
     begin = Beginning(made, kind, 1, fault)
     if begin.from_start:
         made.arm(fault)
     path, error = folder / f"{kind}.h5", None
     poses = LOCKSTEP_POSES_LONG if kind in BY_THE_CLOCK_TOO else LOCKSTEP_POSES
     try:
-        with open_arm(made.loaded, BusOverride(BusSpec.parse(made.bus))) as opened:
+        with open_arm(made.loaded, BusSpec.parse(made.bus)) as opened:
             record(opened, short_plan(opened, 1, poses), RecordRequest("none", path), (begin.receive,))
     except (DriveError, GatewayError) as problem:
         error = problem
@@ -246,10 +245,7 @@ def main(argv: list[str]) -> int:
         found += [_in_words(each) for each in of_masters(masters, arguments.kills)]
     report = figures(found)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": report}, indent=1) + "\n")
-    for name, each in report.items():
-        print(f"{name}: {each['value']} ({each['goal']})")
-    return 0 if all(each["met"] for each in report.values()) else 1
+    return conclude(report, arguments.out)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ time. The interval of a ratio is that of a bootstrap over stretches of time.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -17,9 +16,10 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.figure import conclude, figure
 from gateway.data.rows import concatenate
 from gateway.data.table import Table, read_csv
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
 from gateway.model.robot import robot_from_urdf
 from gateway.report.notation import short
 from gateway.result.result import Result
@@ -49,7 +49,7 @@ def judged(path: Path) -> tuple[Result, str, float]:
     robot = robot_from_urdf(urdf.read_text(encoding="utf-8"), str(urdf))
     fitted, held, kind = rows_of(path)
     start = time.perf_counter()
-    return diagnose(fitted, robot, DiagnoseOptions(holdout=held)), kind, time.perf_counter() - start
+    return diagnose(fitted, robot, holdout=held), kind, time.perf_counter() - start
 
 
 def main(argv: list[str]) -> int:
@@ -71,10 +71,8 @@ def main(argv: list[str]) -> int:
             value, low, high = ratio
             print(f"  J{joint}: {pair[0]:8.2f} to {pair[1]:8.2f} Nm, ratio {value:.2f} ({low:.2f} to {high:.2f})")
             key = f"{name} J{joint}: held-out RMS after over before"
-            found[key] = {"value": value, "interval": [low, high], "unit": ""}
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n")
-    return 0
+            found[key] = figure(value, interval=(low, high))
+    return conclude(found, arguments.out)
 
 
 if __name__ == "__main__":

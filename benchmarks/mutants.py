@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import json
 import os
 import random
 import shutil
@@ -22,13 +21,15 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Final
 
 from coverage import CoverageData
+from coverage.parser import PythonParser
 
-from benchmarks.figure import figure
+from benchmarks.figure import conclude, figure
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 #: Packages with the share of mutants that has to be detected.
@@ -47,10 +48,10 @@ LONGEST_S: Final = 900.0
 _ARGUMENTS: Final = ("-x", "-q", "-p", "no:cacheprovider", "--timeout=100")
 #: What pytest is given for each suite, in the order in which they are asked.
 SUITES: Final = {"fast": ("-m", "not slow"), "slow": ("-m", "slow")}
-#: Exit codes of pytest: a test failed, or none could be collected; others may come from what it was asked for.
-_FAILED, _BROKEN, _NONE_LEFT = 1, 2, 5
+#: Exit codes of pytest.
+_FAILED, _NO_SUCH_TEST, _NONE_LEFT = 1, 4, 5
 COPIED: Final = ("drives", "gateway", "sim", "tests", "benchmarks", "examples", "docs", "pyproject.toml", "README.md")
-COMPARED: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
+SWAPPED: Final[dict[type[ast.AST], type[ast.AST]]] = {
     ast.Lt: ast.GtE,
     ast.GtE: ast.Lt,
     ast.Gt: ast.LtE,
@@ -61,14 +62,14 @@ COMPARED: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.IsNot: ast.Is,
     ast.In: ast.NotIn,
     ast.NotIn: ast.In,
-}
-COMPUTED: Final[dict[type[ast.operator], type[ast.operator]]] = {
     ast.Add: ast.Sub,
     ast.Sub: ast.Add,
     ast.Mult: ast.Div,
     ast.Div: ast.Mult,
     ast.BitAnd: ast.BitOr,
     ast.BitOr: ast.BitAnd,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
 }
 
 
@@ -92,95 +93,58 @@ class Mutant:
         return f"{self.path}:{self.line} {self.what}"
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a file can be changed, and how."""
+def places(tree: ast.Module) -> Iterator[tuple[int, str, Callable[[], None]]]:
+    """Yield line, words and change of every place of a module that can be mutated.
 
-    line: int
-    what: str
-    change: Callable[[], None]
-
-
-def places(tree: ast.Module) -> Iterator[Place]:
-    """Every place of a module at which a mutant can be made; annotations and the words of messages are left alone."""
-    quiet = {id(inner) for node in ast.walk(tree) for inner in _left_alone(node)}
+    Annotations, types joined with None and the words of messages are left alone.
+    """
+    quiet = {id(inner) for node in ast.walk(tree) for part in _left_alone(node) for inner in ast.walk(part)}
     for node in ast.walk(tree):
-        if id(node) not in quiet:
-            yield from _places_at(node)
+        for name, value in ast.iter_fields(node) if id(node) not in quiet else ():
+            for number, item in enumerate(value if isinstance(value, list) else [value]):
+                if isinstance(item, ast.Raise):
+                    words, new = "raise dropped", ast.Pass()
+                elif isinstance(item, ast.UnaryOp) and isinstance(item.op, ast.Not):
+                    words, new = "not dropped", item.operand
+                elif type(item) in SWAPPED:
+                    new = SWAPPED[type(item)]()
+                    words = f"{type(item).__name__} to {type(new).__name__}"
+                else:
+                    continue
+                parts = [*value[:number], new, *value[number + 1 :]] if isinstance(value, list) else new
+                yield getattr(item, "lineno", None) or node.lineno, words, partial(setattr, node, name, parts)
 
 
 def _left_alone(node: ast.AST) -> Iterator[ast.AST]:
-    """Annotations and texts of errors: a wrong word there changes no behaviour."""
-    for name in ("annotation", "returns"):
-        part = getattr(node, name, None)
-        if isinstance(part, ast.AST):
-            yield from ast.walk(part)
-    if isinstance(node, ast.Raise) and node.exc is not None:
-        yield from ast.walk(node.exc)
-
-
-def _places_at(node: ast.AST) -> Iterator[Place]:
-    if isinstance(node, ast.Compare):
-        for number, operator in enumerate(node.ops):
-            other = COMPARED.get(type(operator))
-            if other is not None:
-                yield Place(node.lineno, _words(operator, other), _set(node.ops, number, other()))
-    elif isinstance(node, ast.BinOp) and type(node.op) in COMPUTED and not _joins_types(node):
-        other = COMPUTED[type(node.op)]
-        yield Place(node.lineno, _words(node.op, other), lambda: setattr(node, "op", other()))
-    elif isinstance(node, ast.BoolOp):
-        swapped = ast.Or if isinstance(node.op, ast.And) else ast.And
-        yield Place(node.lineno, _words(node.op, swapped), lambda: setattr(node, "op", swapped()))
-    for name, value in ast.iter_fields(node):
-        if isinstance(value, ast.UnaryOp) and isinstance(value.op, ast.Not):
-            yield Place(value.lineno, "not dropped", _put(node, name, value.operand))
-        if isinstance(value, list):
-            for number, item in enumerate(value):
-                if isinstance(item, ast.Raise):
-                    yield Place(item.lineno, "raise dropped", _set(value, number, ast.Pass()))
-                elif isinstance(item, ast.UnaryOp) and isinstance(item.op, ast.Not):
-                    yield Place(item.lineno, "not dropped", _set(value, number, item.operand))
-
-
-def _joins_types(node: ast.BinOp) -> bool:
-    """`A | None` at the level of a module or in a call such as `isinstance` is a type, not a computation."""
-    return isinstance(node.op, ast.BitOr) and any(
-        isinstance(side, ast.Constant) and side.value is None for side in (node.left, node.right)
-    )
-
-
-def _words(before: ast.AST, after: type[ast.AST]) -> str:
-    return f"{type(before).__name__} to {after.__name__}"
-
-
-def _set(items: list, number: int, new: ast.AST) -> Callable[[], None]:
-    def change() -> None:
-        items[number] = new
-
-    return change
-
-
-def _put(node: ast.AST, name: str, new: ast.AST) -> Callable[[], None]:
-    return lambda: setattr(node, name, new)
+    """Yield the parts of a node in which a change alters no behaviour."""
+    match node:
+        case ast.Raise(exc=ast.AST() as words):
+            yield words
+        case ast.BinOp(op=ast.BitOr(), left=ast.Constant(None)) | ast.BinOp(op=ast.BitOr(), right=ast.Constant(None)):
+            yield node
+        case _:
+            parts = (getattr(node, name, None) for name in ("annotation", "returns"))
+            yield from (part for part in parts if isinstance(part, ast.AST))
 
 
 def mutated(text: str, number: int) -> str:
     """The text of a module with its place of that number changed."""
     tree = ast.parse(text)
-    list(places(tree))[number].change()
+    _line, _words, change = list(places(tree))[number]
+    change()
     return ast.unparse(ast.fix_missing_locations(tree))
 
 
 def draw(count: int, seed: int, packages: Sequence[str], root: Path = ROOT) -> list[Mutant]:
     """Draw mutants of each package in proportion to its places; at least one a package."""
-    every: dict[str, list[Mutant]] = {}
-    for package in packages:
-        for path in sorted((root / package).rglob("*.py")):
-            name = str(path.relative_to(root))
-            found = enumerate(places(ast.parse(path.read_text())))
-            every.setdefault(package, []).extend(
-                Mutant(name, place.line, number, place.what) for number, place in found
-            )
+    every = {
+        package: [
+            Mutant(str(path.relative_to(root)), line, number, words)
+            for path in sorted((root / package).rglob("*.py"))
+            for number, (line, words, _) in enumerate(places(ast.parse(path.read_text())))
+        ]
+        for package in packages
+    }
     total = sum(map(len, every.values()))
     chosen: list[Mutant] = []
     for package, mutants in every.items():
@@ -195,59 +159,35 @@ def mirrored(path: str) -> str:
     return str(Path("tests", *parts[:2]) if parts[0] == "gateway" else Path("tests", parts[0]))
 
 
-class Reach:
-    """Which tests come to which lines.
-
-    Parameters
-    ----------
-    folders : sequence of str
-        Of tests; they are run once as the project is.
-    copy : Path
-        The project.
+def covering(mutants: Sequence[Mutant], copy: Path) -> list[tuple[str, ...]]:
+    """Return for each mutant the mirrored tests of the fast suite that come to its statement, the most special first.
 
     Raises
     ------
     SystemExit
         A test fails already.
     """
-
-    def __init__(self, folders: Sequence[str], copy: Path) -> None:
-        self._root = copy
-        path = copy / ".reach"
-        measured = (*SUITES["fast"], "--cov=drives", "--cov=gateway", "--cov-context=test", "--cov-report=", *folders)
-        if _pytest(copy, *measured, COVERAGE_FILE=str(path)) != 0:
-            raise SystemExit(f"a test of {', '.join(folders)} fails before anything is changed")
-        self._data = CoverageData(str(path))
-        self._data.read()
-        #: How many lines each test comes to.
-        self._lines = Counter(
-            name.rpartition("|")[0]
-            for file in self._data.measured_files()
-            for names in self._data.contexts_by_lineno(file).values()
-            for name in names
-        )
-
-    def tests(self, mutant: Mutant) -> tuple[str, ...]:
-        """Tests that come to the statement of a mutant, those that come to little else first."""
-        path = self._root / mutant.path
-        first, last = _statement(path.read_text(), mutant.line)
-        contexts = self._data.contexts_by_lineno(str(path))
-        found = {each.rpartition("|")[0] for line in range(first, last + 1) for each in contexts.get(line, ())}
-        here = {name for name in found if name.startswith(f"{mirrored(mutant.path)}/")}
-        return tuple(sorted(here, key=lambda name: (self._lines[name], name)))
-
-
-def _statement(text: str, line: int) -> tuple[int, int]:
-    """First and last line of the smallest statement at a line; of one with a body, the head."""
-    spans = [(1, 0)]
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.stmt):
-            body = getattr(node, "body", None)
-            spans.append(
-                (node.lineno, max(node.lineno, body[0].lineno - 1) if body else node.end_lineno or node.lineno)
-            )
-    around = [(first, last) for first, last in spans if first <= line <= last]
-    return min(around, key=lambda span: span[1] - span[0], default=(line, line))
+    folders, path = sorted({mirrored(mutant.path) for mutant in mutants}), copy / ".reach"
+    measured = (*SUITES["fast"], "--cov=drives", "--cov=gateway", "--cov-context=test", "--cov-report=", *folders)
+    if _pytest(copy, *measured, COVERAGE_FILE=str(path)) != 0:
+        raise SystemExit(f"a test of {', '.join(folders)} fails before anything is changed")
+    data = CoverageData(str(path))
+    data.read()
+    contexts = {
+        file: {
+            line: {name.rpartition("|")[0] for name in names} for line, names in data.contexts_by_lineno(file).items()
+        }
+        for file in data.measured_files()
+    }
+    reached = Counter(name for lines in contexts.values() for names in lines.values() for name in names)
+    out = []
+    for mutant in mutants:
+        parser = PythonParser(text=(copy / mutant.path).read_text())
+        parser.parse_source()
+        names = contexts.get(str(copy / mutant.path), {}).get(parser.first_line(mutant.line), set())
+        here = [name for name in names if name.startswith(f"{mirrored(mutant.path)}/")]
+        out.append(tuple(sorted(here, key=lambda name: (reached[name], name))))
+    return out
 
 
 def _pytest(copy: Path, *arguments: str, **environment: str) -> int:
@@ -271,7 +211,7 @@ def noticed(mutant: Mutant, copy: Path, first: Sequence[str] = ()) -> str:
     text = path.read_text()
     path.write_text(mutated(text, mutant.number))
     try:
-        if first and _pytest(copy, *first) in (_FAILED, _BROKEN):
+        if first and _pytest(copy, *first) not in (0, _NO_SUCH_TEST, _NONE_LEFT):
             return "fast"
         others = [f"--deselect={name}" for name in first]
         for suite, chosen in SUITES.items():
@@ -296,8 +236,7 @@ def tried(mutants: Sequence[Mutant], jobs: int) -> list[str]:
                 else:
                     shutil.copy(source, copy / name)
             free.put(copy)
-        reach = Reach(sorted({mirrored(mutant.path) for mutant in mutants}), copy)
-        first = [reach.tests(mutant) for mutant in mutants]
+        first = covering(mutants, copy)
 
         def one(mutant: Mutant, tests: Sequence[str]) -> str:
             copy = free.get()
@@ -334,11 +273,7 @@ def main(argv: list[str]) -> int:
         100.0 * suites.count("fast") / max(1, len(suites)), ">= 95", f"% of {len(suites)}"
     )
     unseen = [asdict(mutant) for mutant, ok in zip(mutants, seen, strict=True) if not ok]
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures, "unseen": unseen}, indent=1) + "\n")
-    for name, found in figures.items():
-        print(f"{name}: {found['value']:.0f} {found['unit']}, goal {found['goal']}")
-    return 0 if all(found["met"] for found in figures.values()) else 1
+    return conclude(figures, arguments.out, unseen=unseen)
 
 
 if __name__ == "__main__":

@@ -8,13 +8,12 @@ Leaves the wheel, `sbom.cdx.json` (CycloneDX) and `licences.md` in the folder.
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.figure import figure, show
+from benchmarks.figure import conclude, figure
 from tests.support.package import build_wheel, forgotten, help_s, install, misplaced, size_mb
 
 
@@ -40,9 +39,7 @@ def main(argv: list[str]) -> int:
         "time to --help": figure(help_s(programs), "<= 0.2", "s"),
         "packages without a licence": figure(unlicensed, "== 0"),
     }
-    (out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n", encoding="utf-8")
-    show(figures)
-    return 0 if all(each["met"] for each in figures.values()) else 1
+    return conclude(figures, out)
 
 
 def _bill_of_materials(python: Path, out: Path) -> int:

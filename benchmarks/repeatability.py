@@ -11,7 +11,6 @@ deviations are left out. Development seeds start at 70000, test seeds at 80000.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
 from itertools import count, islice
@@ -34,15 +33,11 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/repeatability"))
     arguments = parser.parse_args(argv)
     one_thread()
-    from benchmarks.figure import show
+    from benchmarks.figure import conclude
 
     arms = list(islice(measured_arms(SEEDS[arguments.seeds]), arguments.arms))
     result = figures(arms)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"figures": result, "arms": arms}, indent=1)
-    (arguments.out / "summary.json").write_text(text + "\n", encoding="utf-8")
-    show(result)
-    return 0 if all(entry["met"] is not False for entry in result.values()) else 1
+    return conclude(result, arguments.out, arms=arms)
 
 
 def measured_arms(first_seed: int) -> Iterator[dict]:
@@ -59,7 +54,7 @@ def measured_arm(cell) -> dict:
     """Measure one load 20 times; by quantity ratio, verdict, deviations, and errors over the stated deviations."""
     import numpy as np
 
-    from benchmarks.blind.nature import estimate_options
+    from benchmarks.blind.nature import knowledge_of
     from benchmarks.nature.days import sessions
     from gateway.estimate import estimate
     from gateway.identify.load_estimate import load_result
@@ -68,7 +63,7 @@ def measured_arm(cell) -> dict:
     from gateway.result.result import Result
     from tests.support.rigs.tables import simulated_table
 
-    robot, options = robot_from_urdf(cell.stated.urdf, f"seed {cell.seed}"), estimate_options(cell)
+    robot, options = robot_from_urdf(cell.stated.urdf, f"seed {cell.seed}"), knowledge_of(cell)
     results, truth = [], []
     for number, session in enumerate(sessions(cell, REPETITIONS)):
         found = estimate(simulated_table(session.columns, f"run {number}"), robot, options, "joint")
@@ -88,6 +83,8 @@ def figures(arms: list[dict]) -> dict[str, dict]:
     """Figures over all arms."""
     import numpy as np
 
+    from benchmarks.figure import figure
+
     out = {}
     for place, name in enumerate(QUANTITIES):
         rows = [arm["quantities"][place] for arm in arms]
@@ -98,15 +95,15 @@ def figures(arms: list[dict]) -> dict[str, dict]:
         total = [np.sqrt(np.mean(np.square(row["error"]))) for row in rows]
         out[f"{name}: error to the truth over the whole stated"] = _ratio(total, is_goal=False)
         holds = float(100 * np.mean(np.abs(errors) < HALF_WIDTH))
-        out[f"{name}: 95 % intervals hold the truth"] = _entry(holds, "%")
+        out[f"{name}: 95 % intervals hold the truth"] = figure(holds, unit="%")
         part = float(np.median([row["whole"] for row in rows]))
-        out[f"{name}: expected spread over the whole stated, median"] = _entry(part)
+        out[f"{name}: expected spread over the whole stated, median"] = figure(part)
     rows = [row for arm in arms for row in arm["quantities"]]
     far, values = sum(row["far"] for row in rows), sum(row["measured"] for row in rows)
-    out[f"values beyond 3 standard deviations, of {values}"] = _entry(far, "", "== 0", far == 0)
+    out[f"values beyond 3 standard deviations, of {values}"] = figure(far, "== 0")
     for outcome in ("hold", "too small", "too large", "cannot tell"):
         share = 100 * float(np.mean([row["outcome"] == outcome for row in rows]))
-        out[f"verdict on a quantity: {outcome}"] = _entry(share, "%")
+        out[f"verdict on a quantity: {outcome}"] = figure(share, unit="%")
     return out
 
 
@@ -114,15 +111,13 @@ def _ratio(values: list[float], *, is_goal: bool = True) -> dict:
     """Root mean square of ratios over the arms, with the 95 % interval over drawn arms; goal 0.9 to 1.1."""
     import numpy as np
 
+    from benchmarks.figure import figure
+
     squares = np.square(values)
     drawn = np.random.default_rng(0).choice(squares, (DRAWS, len(squares))).mean(axis=1)
     value = float(np.sqrt(squares.mean()))
-    entry = _entry(value, "", "0.9 to 1.1", 0.9 <= value <= 1.1) if is_goal else _entry(value)
-    return entry | {"interval": np.sqrt(np.quantile(drawn, [0.025, 0.975])).tolist()}
-
-
-def _entry(value: float, unit: str = "", goal: str = "printed", met: bool | None = None) -> dict:
-    return {"value": value, "unit": unit, "goal": goal, "met": met}
+    goal = "0.9 .. 1.1" if is_goal else "printed"
+    return figure(value, goal, interval=np.sqrt(np.quantile(drawn, [0.025, 0.975])).tolist())
 
 
 if __name__ == "__main__":

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import NoReturn
+from dataclasses import replace
+from typing import Final, NoReturn
 
 from drives.abort import ABSENT
 from drives.bus import Bus
@@ -31,15 +31,7 @@ from drives.sdo import NORMAL, SLOW, SdoClient, Transfer
 Entry = ObjectEntry | ObjectReference
 Address = tuple[int, int]
 
-
-@dataclass(frozen=True, slots=True)
-class AccessRules:
-    """Objects that the profile `name` allows the master to write, and the SDO timeouts of the node."""
-
-    name: str
-    allow: Collection[int]
-    timeout_s: float = 0.3
-    slow_timeout_s: float = 2.0
+_NOT_TAKEN: Final = "the drive limits or ignores this value: set it with the maker's tool, then `restore` once more"
 
 
 class NodeAccess:
@@ -49,16 +41,29 @@ class NodeAccess:
     ----------
     bus : Bus
     node_id : int
-    rules : AccessRules
+    profile : str
+        Name of the profile, for messages.
+    allow : collection of int
+        Objects that it allows the master to write.
     ledger : WriteLedger
         Every write is entered here before it is sent.
+    sdo : SdoClient, optional
+        To the node, with its time-outs.
     """
 
-    def __init__(self, bus: Bus, node_id: int, rules: AccessRules, ledger: WriteLedger) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        node_id: int,
+        profile: str,
+        allow: Collection[int],
+        ledger: WriteLedger,
+        sdo: SdoClient | None = None,
+    ) -> None:
         self.node_id = node_id
-        self.rules = rules
         self.bus = bus
-        self.sdo = SdoClient(bus, node_id, rules.timeout_s, rules.slow_timeout_s)
+        self.sdo = SdoClient(bus, node_id) if sdo is None else sdo
+        self._profile, self._allow = profile, allow
         #: Key of the node in the ledger; its identity is added once it is read.
         self.device = KnownDevice(node_id, bus.spec.name)
         #: Objects that `restore` left unchanged because another tool has written them since.
@@ -102,7 +107,7 @@ class NodeAccess:
         SdoError
             The transfer failed.
         """
-        self._check_allowed(entry.index, entry.subindex)
+        self._check_allowed(entry)
         now = self.read(entry, options)
         if now == value:
             self._configured[entry.index, entry.subindex] = (entry.type, value)
@@ -142,13 +147,8 @@ class NodeAccess:
         back = self.sdo.read(step.index, step.subindex, step.data_type, options)
         self._ledger.confirm(self.device, {(step.index, step.subindex): back})
         if back != step.value:
-            raise ConfigurationRefused(
-                f"{step.value:#x} was written, but {back:#x} is read back",
-                node=self.node_id,
-                index=step.index,
-                subindex=step.subindex,
-                advice="the drive limits or ignores this value",
-            )
+            what = f"{step.value:#x} was written, but {back:#x} is read back"
+            self.refuse(step, what, "the drive limits or ignores this value")
         self._configured[step.index, step.subindex] = (step.data_type, back)
 
     def changed(self, without: Collection[Address] = ()) -> Iterator[tuple[Address, int, int]]:
@@ -229,7 +229,7 @@ class NodeAccess:
 
     def may_write(self, index: int) -> bool:
         """Return whether the profile allows writing this object."""
-        return index in self.rules.allow
+        return index in self._allow
 
     def original(self, entry: Entry, held: int) -> int:
         """Value of an object that holds `held` now, as the engineer left it.
@@ -263,14 +263,9 @@ class NodeAccess:
         """
         unfinished = [entry for entry in self.noted if entry.writer == "applying"]
         if unfinished:
-            first = unfinished[0]
-            raise ConfigurationRefused(
-                f"`config apply` was interrupted while it wrote to this device ({len(unfinished)} objects)",
-                node=self.node_id,
-                index=first.index,
-                subindex=first.subindex,
-                advice="restore the drive with `servo-gateway restore CELL`, or run `config apply` again",
-            )
+            what = f"`config apply` was interrupted while it wrote to this device ({len(unfinished)} objects)"
+            advice = "restore the drive with `servo-gateway restore CELL`, or run `config apply` again"
+            self.refuse(unfinished[0], what, advice)
 
     def refuse_renamed(self) -> None:
         """Refuse a device without serial number that holds values of a run over a bus of another name.
@@ -284,13 +279,11 @@ class NodeAccess:
         for entry in self._ledger.of_other_bus(self.device):
             known = any(note.address == entry.address for note in self.noted)
             if not known and self._held({entry.address: (entry.data_type, 0)}, entry.address) == entry.new != entry.old:
-                raise ConfigurationRefused(
-                    f"holds {entry.new:#x}, which a run wrote over {entry.bus} to a drive like this (no serial number)",
-                    node=self.node_id,
-                    index=entry.index,
-                    subindex=entry.subindex,
-                    advice="`servo-gateway restore CELL` asks whether it is the same drive, and puts its value back",
+                what = (
+                    f"holds {entry.new:#x}, which a run wrote over {entry.bus} to a drive like this (no serial number)"
                 )
+                advice = "`servo-gateway restore CELL` asks whether it is the same drive, and puts its value back"
+                self.refuse(entry, what, advice)
 
     def take_over(self, entries: Sequence[LedgerEntry]) -> None:
         """Make entries those of this device; a person has said that it is the one they were written to."""
@@ -337,19 +330,18 @@ class NodeAccess:
             writer=writer,
         )
 
-    def _check_allowed(self, index: int, subindex: int) -> None:
-        if not self.may_write(index):
-            raise ConfigurationRefused(
-                f"must not be written: profile {self.rules.name} does not allow it",
-                node=self.node_id,
-                index=index,
-                subindex=subindex,
-                advice="add it to write.allow if that is safe on this drive",
-            )
+    def _check_allowed(self, entry: Entry | Step) -> None:
+        if not self.may_write(entry.index):
+            what = f"must not be written: profile {self._profile} does not allow it"
+            self.refuse(entry, what, "add it to write.allow if that is safe on this drive")
 
-    def refuse(self, entry: Entry, what: str, advice: str) -> NoReturn:
+    def refused(self, entry: Entry | Step | LedgerEntry, what: str, advice: str) -> ConfigurationRefused:
+        """Return the error about an object."""
+        return ConfigurationRefused(what, node=self.node_id, index=entry.index, subindex=entry.subindex, advice=advice)
+
+    def refuse(self, entry: Entry | Step | LedgerEntry, what: str, advice: str) -> NoReturn:
         """Raise `ConfigurationRefused` about an object."""
-        raise ConfigurationRefused(what, node=self.node_id, index=entry.index, subindex=entry.subindex, advice=advice)
+        raise self.refused(entry, what, advice)
 
     def map_pdo(self, plan: PdoPlan) -> None:
         """Write a PDO configuration and read it back; nothing is written if it is already correct.
@@ -368,7 +360,7 @@ class NodeAccess:
             cob_id = self.sdo.read(plan.communication, 1, "u32")
             steps = mapping_steps(plan, cob_id)
             for step in steps:
-                self._check_allowed(step.index, step.subindex)
+                self._check_allowed(step)
             self.note_steps(steps)
             for step in steps:
                 self._send(step)
@@ -410,7 +402,12 @@ class NodeAccess:
             ]
         send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
         moved = [entry for entry in self.noted if entry.node_id != self.node_id and _names_node(entry.index)]
-        failures += _of_another_node(moved, self.node_id)
+        if moved:
+            what = (
+                f"{len(moved)} identifiers and PDO mappings were written while this drive was node {moved[0].node_id}"
+            )
+            advice = "give it that node id to restore them, or delete the entries with `restore CELL --forget`"
+            failures.append(self.refused(moved[0], what, advice))
         entries = [entry for entry in self.noted if entry not in moved]
         unread: dict[Address, DriveError] = {}
         held = self._read_entries(entries, unread)
@@ -428,7 +425,11 @@ class NodeAccess:
         ]
         self._ledger.forget(*done)
         return failures + [
-            unread.get(entry.address) or refused.get(entry.address) or self._not_taken(entry, back[entry.address])
+            unread.get(entry.address)
+            or refused.get(entry.address)
+            or self.refused(
+                entry, f"{entry.old:#x} was restored, but {back[entry.address]:#x} is read back", _NOT_TAKEN
+            )
             for entry in entries
             if entry not in done and (entry.address in unread or entry.address in back)
         ]
@@ -487,15 +488,6 @@ class NodeAccess:
         self.superseded = tuple(others)
         return [kept.get(each.address, each) for each in entries if each not in others or each.address in kept]
 
-    def _not_taken(self, entry: LedgerEntry, back: int) -> ConfigurationRefused:
-        return ConfigurationRefused(
-            f"{entry.old:#x} was restored, but {back:#x} is read back",
-            node=self.node_id,
-            index=entry.index,
-            subindex=entry.subindex,
-            advice="the drive limits or ignores this value: set it with the maker's tool, then `restore` once more",
-        )
-
     def _busy(self) -> bool:
         """Return whether a restore is not allowed now."""
         return False
@@ -520,15 +512,6 @@ def _names_node(index: int) -> bool:
     return _is_pdo(index) or index == OBJECTS["emcy_cob_id"].index
 
 
-def _of_another_node(moved: Sequence[LedgerEntry], node_id: int) -> list[DriveError]:
-    """Return the error for identifiers that were written while the drive had another node id."""
-    if not moved:
-        return []
-    what = f"{len(moved)} identifiers and PDO mappings were written while this drive was node {moved[0].node_id}"
-    advice = "give it that node id to restore them, or delete the entries with `restore CELL --forget`"
-    return [ConfigurationRefused(what, node=node_id, index=moved[0].index, subindex=moved[0].subindex, advice=advice)]
-
-
 class ObjectAccess(NodeAccess):
     """SDO access to one drive.
 
@@ -544,8 +527,8 @@ class ObjectAccess(NodeAccess):
 
     def __init__(self, bus: Bus, node_id: int, profile: DriveProfile, ledger: WriteLedger) -> None:
         self.profile = profile
-        rules = AccessRules(profile.name, profile.write.allow, profile.sdo.timeout_s, profile.sdo.slow_timeout_s)
-        super().__init__(bus, node_id, rules, ledger)
+        sdo = SdoClient(bus, node_id, profile.sdo.timeout_s, profile.sdo.slow_timeout_s)
+        super().__init__(bus, node_id, profile.name, profile.write.allow, ledger, sdo)
 
     def _busy(self) -> bool:
         return decode_state(self.read(OBJECTS["statusword"])) not in AT_REST

@@ -13,7 +13,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Final, Protocol
+from types import SimpleNamespace
+from typing import Any, Final, NoReturn, Protocol
 
 import can
 import canopen
@@ -394,20 +395,12 @@ class Bus:
         self.close()
 
 
-class _Closed:
-    """Adapter of a closed bus: every use fails."""
-
-    def recv(self, timeout: float | None = None) -> None:
-        raise BusError("the bus is closed", advice="open it again")
-
-    def send(self, frame: object) -> None:
-        raise BusError("the bus is closed", advice="open it again")
-
-    def shutdown(self) -> None:
-        """Do nothing: the adapter is already closed."""
+def _refuse_closed(*_: object) -> NoReturn:
+    raise BusError("the bus is closed", advice="open it again")
 
 
-_CLOSED: Final = _Closed()
+#: Adapter of a closed bus.
+_CLOSED: Final = SimpleNamespace(recv=_refuse_closed, send=_refuse_closed)
 
 
 def _no_kernel_can(error: BaseException | None) -> bool:

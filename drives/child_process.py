@@ -8,8 +8,8 @@ import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Collection, Generator, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterator
+from contextlib import suppress
 from typing import Any, Final
 
 #: Largest piece that is read or written at once.
@@ -42,17 +42,9 @@ def complete_messages(received: bytearray) -> Iterator[tuple[int, int, bytes]]:
         yield file, number, content
 
 
-@contextmanager
-def _held_back(signals: Collection[signal.Signals]) -> Generator[None]:
-    """Block signals during the start of a child, which inherits the mask; they are delivered here afterwards."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def start_module(program: str, signals: Collection[signal.Signals]) -> subprocess.Popen[bytes]:
+def start_module(
+    program: str, signals: Collection[signal.Signals], descriptors: Collection[int] = ()
+) -> subprocess.Popen[bytes]:
     """Run a module in its own session, so that Ctrl-C in a terminal does not reach it.
 
     Parameters
@@ -61,24 +53,33 @@ def start_module(program: str, signals: Collection[signal.Signals]) -> subproces
     signals : collection of Signals
         Blocked in the child: a terminal or a service manager sends these to all processes, and the child ends when its
         work is done.
+    descriptors : collection of int
+        Handed over in place of pipes to its standard input and output; their numbers are its arguments.
 
     Returns
     -------
     Popen
         Its standard input and output are unbuffered. Where they would block, writing and reading return None.
     """
+    stream = subprocess.DEVNULL if descriptors else subprocess.PIPE
     # The same modules are found there as here, wherever this process was started.
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-    with _held_back(signals):
+    # the child inherits the mask; what comes meanwhile is delivered here afterwards
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", program],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            [sys.executable, "-P", "-m", program, *map(str, descriptors)],
+            stdin=stream,
+            stdout=stream,
             stderr=subprocess.DEVNULL,
             env=environment,
+            pass_fds=tuple(descriptors),
             start_new_session=True,
         )
-    process.stdin, process.stdout = _own_end(process.stdin, "wb"), _own_end(process.stdout, "rb")
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    if not descriptors:
+        process.stdin, process.stdout = _own_end(process.stdin, "wb"), _own_end(process.stdout, "rb")
     return process
 
 

@@ -1,7 +1,10 @@
 """CiA 402 state machine: pure tables and functions (CiA 402-2, clause 8: finite state automaton and statusword).
 
+Which controlword follows from which state is decided here, for each goal: `next_controlword` (enable),
+`stopping_controlword` (quick stop), `disabling_controlword` (disable) and `RESET` (fault reset).
+
 No route passes through OPERATION ENABLED unless that is the target. Transition 16 (QUICK STOP ACTIVE to OPERATION
-ENABLED) is never used. No controlword of this module has the fault reset bit: only a person resets a fault.
+ENABLED) is never used. Only `RESET` has the fault reset bit: a fault is reset on request.
 """
 
 from __future__ import annotations
@@ -50,6 +53,8 @@ DISABLE_OPERATION: Final = 0x0007
 ENABLE_OPERATION: Final = 0x000F
 #: Rising edge resets a fault. No table of this module uses it.
 FAULT_RESET: Final = 0x0080
+#: Controlwords that reset a fault, in their order.
+RESET: Final = (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE)
 
 # Statusword bits outside the state.
 VOLTAGE_ENABLED: Final = 1 << 4
@@ -166,8 +171,27 @@ def next_controlword(state: State, target: State) -> int:
 
 
 def stopping_controlword(state: State) -> int:
-    """Return the controlword that stops an axis: quick stop if it is enabled, else disable voltage."""
-    return QUICK_STOP if state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE) else DISABLE_VOLTAGE
+    """Return the controlword that stops an axis: quick stop if it is enabled; SWITCHED ON is kept, so that a brake
+    that is closing gets its time.
+    """
+    if state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
+        return QUICK_STOP
+    return DISABLE_OPERATION if state is State.SWITCHED_ON else DISABLE_VOLTAGE
+
+
+def disabling_controlword(state: State, *, brake_closes: bool = False) -> int:
+    """Return the controlword towards SWITCH ON DISABLED; in a fault one without effect.
+
+    Parameters
+    ----------
+    state : State
+    brake_closes : bool
+        The brake is closing: the axis keeps SWITCHED ON or QUICK STOP ACTIVE, because a drive without voltage cannot
+        hold it.
+    """
+    if brake_closes and state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE):
+        return stopping_controlword(state)
+    return _ROUTES[State.SWITCH_ON_DISABLED].get(state, DISABLE_VOLTAGE)
 
 
 def mode_supported(supported_modes: int, mode: Mode) -> bool:

@@ -3,78 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
 
+from drives.pdo import tpdo_plans
 from drives.scaling import MotorScale
-from drives.values import DriveReading
+from drives.values import AxisSetup, DriveReading
 
 Frames = Sequence[bytes | bytearray | None]
 #: (SYNC index, frames of all drives) -> reading, None where a frame of this drive is missing.
 Decoder = Callable[[int, Frames], DriveReading | None]
-Unpack = Callable[[Any], tuple[int, ...]]
 
 
-class Fields(NamedTuple):
-    """Objects that TPDO2 carries besides the torque."""
-
-    velocity: bool
-    current: bool
-
-
-def single_decoder(node_id: int, slot: int, unpack: Unpack, scale: MotorScale) -> Decoder:
-    """Return the decoder of a drive with one TPDO: statusword, position, torque.
+def reading_decoder(setup: AxisSetup, scale: MotorScale, slot: int = 0) -> Decoder:
+    """Return the decoder of a drive with the TPDOs of `tpdo_plans`.
 
     Parameters
     ----------
-    node_id : int
-    slot : int
-        Place of its frame among those of all drives.
-    unpack : callable
-        Of the frame.
+    setup : AxisSetup
     scale : MotorScale
+    slot : int
+        Place of its first frame among those of all drives.
     """
+    new_tuple = tuple.__new__
+    node_id, (plans, roles) = setup.node_id, tpdo_plans(setup.profile, setup.node_id)
     count_rad, torque_nm = scale.count_rad, scale.torque_nm
+    rad_s, ampere = scale.velocity_rad_s or 0.0, scale.current_a or 0.0
+    first, *others = [plan.layout.unpack for plan in plans]
+    second = others[0] if others else None
+    at_velocity, at_current = (roles.index(each) if each in roles else None for each in ("velocity", "current"))
 
     def decode(sync_index: int, frames: Frames) -> DriveReading | None:
         data = frames[slot]
         if data is None:
             return None
-        status, position, torque = unpack(data)
-        return DriveReading(
-            node_id,
-            sync_index,
-            status,
-            position,
-            torque,
-            None,
-            None,
-            position * count_rad,
-            torque * torque_nm,
-            None,
-            None,
-        )
-
-    return decode
-
-
-def double_decoder(
-    node_id: int, slot: int, unpack: tuple[Unpack, Unpack], scale: MotorScale, fields: Fields
-) -> Decoder:
-    """Return the decoder of a drive with two TPDOs: statusword, position, torque, then the fields of `fields`."""
-    count_rad, torque_nm = scale.count_rad, scale.torque_nm
-    rad_s, ampere = scale.velocity_rad_s or 0.0, scale.current_a or 0.0
-    has_velocity, has_current = fields
-    first, second = unpack
-
-    def decode(sync_index: int, frames: Frames) -> DriveReading | None:
-        data, more = frames[slot], frames[slot + 1]
-        if data is None or more is None:
-            return None
-        values = first(data) + second(more)
+        values = first(data)
+        velocity = current = None
+        if second is not None:
+            more = frames[slot + 1]
+            if more is None:
+                return None
+            values += second(more)
+            velocity = None if at_velocity is None else values[at_velocity]
+            current = None if at_current is None else values[at_current]
         position, torque = values[1], values[2]
-        velocity = values[3] if has_velocity else None
-        current = values[-1] if has_current else None
-        return DriveReading(
+        # half the time of DriveReading(...), for each axis at each SYNC
+        fields = (
             node_id,
             sync_index,
             values[0],
@@ -87,5 +59,6 @@ def double_decoder(
             None if velocity is None else velocity * rad_s,
             None if current is None else current * ampere,
         )
+        return new_tuple(DriveReading, fields)
 
     return decode

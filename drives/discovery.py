@@ -239,7 +239,7 @@ def _look_at(bus: Bus, node_id: int, devices: int, state: NmtState | None) -> Sc
     try:
         identity = read_identity(sdo)
     except DriveError as error:
-        identity, unread = Identity(node_id, None, None, None, None, None, None, None, None), str(error)
+        identity, unread = Identity(node_id), str(error)
     finally:
         sdo.close()
     return ScanResult(identity, devices, state, matching_profiles(identity), unread)

@@ -7,21 +7,20 @@ from typing import Final
 
 from drives import drive_limits
 from drives.access import ObjectAccess
-from drives.bus import Bus, Frame
-from drives.cia402 import DISABLE_VOLTAGE, ENABLE_OPERATION, FAULT_RESET, FAULTED, State, decode_state, describe
-from drives.decode import Decoder, Fields, double_decoder, single_decoder
+from drives.bus import Bus
+from drives.cia402 import ENABLE_OPERATION, FAULTED, RESET, State, decode_state, describe
+from drives.decode import Decoder, reading_decoder
 from drives.errors import (
     CommandRefused,
     ConfigurationRefused,
     DriveError,
     DriveFault,
     IdentityMismatch,
-    NodeMissing,
 )
 from drives.ledger import WriteLedger
 from drives.objects import OBJECTS
 from drives.other_pdos import OtherPdo
-from drives.pdo import COMMAND, OFFSET, PdoPlan, offset_plan, rpdo_plan, tpdo_plans
+from drives.pdo import COMMAND, OFFSET, PdoPlan, rpdo_plans, tpdo_plans
 from drives.scaling import Constants, MotorScale, motor_scale
 from drives.sdo import ONCE
 from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
@@ -51,7 +50,8 @@ class Cia402Drive:
         self.setup = setup
         self.node_id = setup.node_id
         self.access = ObjectAccess(bus, setup.node_id, setup.profile, ledger)
-        self.identity: Identity | None = None
+        #: As bring-up read it.
+        self.identity = Identity(setup.node_id)
         #: Last position that was commanded.
         self.target_count = 0
         #: PDOs that are switched on and not of the exchange, as bring-up found them.
@@ -60,11 +60,11 @@ class Cia402Drive:
         self.left_pdos: tuple[OtherPdo, ...] = ()
         self._bus = bus
         self._scale: MotorScale | None = None
-        self._rpdo = rpdo_plan(self.node_id)
-        self._tpdos, self._roles = tpdo_plans(setup.profile, self.node_id)
-        self._frame = bus.prepare(self._rpdo.cob_id, COMMAND.size)
-        self._offset_plan = offset_plan(self.node_id) if setup.feedforward else None
-        self._offset_frame = None if self._offset_plan is None else bus.prepare(self._offset_plan.cob_id, OFFSET.size)
+        #: PDO configurations of the cyclic exchange: what is sent, and what is answered.
+        self.commands = rpdo_plans(self.node_id, setup.feedforward)
+        self._tpdos, _ = tpdo_plans(setup.profile, self.node_id)
+        #: RPDOs of the stored target, after `pack`.
+        self.frames = tuple(bus.prepare(plan.cob_id, plan.size_bytes) for plan in self.commands)
         self._held_count = 0
         self._staged = (0, 0, 0)
         self.sync_period_s = 0.0
@@ -97,11 +97,6 @@ class Cia402Drive:
         return (*self.commands, *self._tpdos)
 
     @property
-    def commands(self) -> tuple[PdoPlan, ...]:
-        """Return the RPDO configurations of the cyclic exchange, RPDO1 first."""
-        return (self._rpdo,) if self._offset_plan is None else (self._rpdo, self._offset_plan)
-
-    @property
     def answers(self) -> tuple[tuple[int, int], ...]:
         """Return CAN id and length of each TPDO that follows a SYNC."""
         return tuple((plan.cob_id, plan.size_bytes) for plan in self._tpdos)
@@ -116,8 +111,6 @@ class Cia402Drive:
         IdentityMismatch
             Vendor, product, firmware or device type differ; one error lists all differences.
         """
-        if self.identity is None:
-            raise NodeMissing("was not identified", node=self.node_id, advice="connect() first")
         problems = self.identity.mismatches(self.setup.profile)
         if self.identity.device_type is not None and not self.identity.is_drive:
             problems.append(f"device type {self.identity.device_type:#010x} is not a CiA 402 drive")
@@ -178,6 +171,11 @@ class Cia402Drive:
         """Read the statusword by SDO."""
         return self.access.read(OBJECTS["statusword"])
 
+    def send_controlword(self, controlword: int) -> None:
+        """Write the controlword by SDO, where the cycle does not send it: see `pack`."""
+        control = OBJECTS["controlword"]
+        self.access.sdo.write(*control.address, control.type, controlword)
+
     def fault_text(self) -> str:
         """Return error code 0x603F with its meaning, or that it cannot be read."""
         try:
@@ -198,10 +196,9 @@ class Cia402Drive:
         DriveFault
             The drive is still in FAULT.
         """
-        control = OBJECTS["controlword"]
         if decode_state(self.statusword()) is State.FAULT:
-            for word in (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE):
-                self.access.sdo.write(*control.address, control.type, word)
+            for word in RESET:
+                self.send_controlword(word)
         deadline_s = time.monotonic() + self.setup.profile.state_machine.transition_timeout_s
         while decode_state(status := self.statusword()) in FAULTED and time.monotonic() < deadline_s:
             self._bus.listen(POLL_S)
@@ -227,13 +224,9 @@ class Cia402Drive:
             velocity = self._velocity(command.velocity_offset_rad_s) if command.velocity_offset_rad_s else 0
         except (ValueError, OverflowError) as error:
             raise CommandRefused(f"{command} is not a valid target: {error}", node=self.node_id) from error
-        if self.target_count == self._held_count and abs(count - self.target_count) <= self._tolerance_count:
-            count = self._no_further_out(count)
         lowest, highest = self.limit_count
-        if not lowest <= count <= highest and not self._inward(count):
-            what = f"target {count} counts is outside {lowest} .. {highest}"
-            advice = "stay inside the limits of the axis; from outside it moves only inwards"
-            raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
+        if not lowest <= count <= highest:
+            count = self._not_further_out(count)
         step = count - self.target_count
         if not -self._max_step_count <= step <= self._max_step_count:
             what = f"target requires {abs(step) * scale.count_rad / self.sync_period_s:.1f} rad/s"
@@ -241,26 +234,28 @@ class Cia402Drive:
             raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
         self._staged = (count, offset, velocity)
 
-    @property
-    def _tolerance_count(self) -> float:
-        """Return the allowed difference between the read and the commanded position [counts]."""
-        return abs((self._scale or self.scale).revolutions(POSITION_TOLERANCE_REVOLUTIONS))
+    def _not_further_out(self, count: int) -> int:
+        """Return a target outside the limits, or the present setpoint where an axis that is held there stays there.
 
-    def _no_further_out(self, count: int) -> int:
-        """Return the target, or the present setpoint if that is outside the limits and the target further out."""
-        held, (lowest, highest) = self.target_count, self.limit_count
-        if held > highest:
-            return min(count, held)
-        return max(count, held) if held < lowest else count
-
-    def _inward(self, count: int) -> bool:
-        """Return whether a target outside the limits is not further out than the present setpoint."""
-        lowest, highest = self.limit_count
-        return highest < count <= self.target_count or self.target_count <= count < lowest
+        Raises
+        ------
+        CommandRefused
+            The target is further out than the present setpoint.
+        """
+        before, (lowest, highest) = self.target_count, self.limit_count
+        if highest < count <= before or before <= count < lowest:
+            return count
+        is_outside = before > highest if count > highest else before < lowest
+        tolerance_count = abs(self.scale.revolutions(POSITION_TOLERANCE_REVOLUTIONS))
+        if is_outside and before == self._held_count and abs(count - before) <= tolerance_count:
+            return before
+        what = f"target {count} counts is outside {lowest} .. {highest}"
+        advice = "stay inside the limits of the axis; from outside it moves only inwards"
+        raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
 
     def _velocity(self, velocity_rad_s: float) -> int:
         unit = self.scale.velocity_rad_s
-        if self._offset_frame is None or unit is None:
+        if not self.setup.feedforward or unit is None:
             advice = "set the drive up with feedforward"
             raise CommandRefused(
                 "is not configured for a velocity offset", node=self.node_id, index=0x60B1, advice=advice
@@ -287,23 +282,18 @@ class Cia402Drive:
         self._held_count = position_count
         self._staged = (position_count, 0, 0)
 
-    def frame(self, controlword: int) -> Frame:
-        """Return the RPDO data of the stored target, which counts as commanded from now on.
+    def pack(self, controlword: int) -> None:
+        """Write the stored target into `frames`; it counts as commanded from now on.
 
         Offsets are sent only beside the controlword that keeps OPERATION ENABLED.
         """
         if controlword != ENABLE_OPERATION:
             self._staged = (self._staged[0], 0, 0)
-        count, offset, _ = self._staged
+        count, offset, velocity = self._staged
         self.target_count = count
-        COMMAND.pack_into(self._frame.data, 0, controlword, count, offset)
-        return self._frame
-
-    def offset_frame(self) -> Frame | None:
-        """Return the RPDO data of the stored velocity offset, after `frame`; None if the drive has no such RPDO."""
-        if self._offset_frame is not None:
-            OFFSET.pack_into(self._offset_frame.data, 0, self._staged[2])
-        return self._offset_frame
+        COMMAND.pack_into(self.frames[0].data, 0, controlword, count, offset)
+        if self.setup.feedforward:
+            OFFSET.pack_into(self.frames[1].data, 0, velocity)
 
     def decoder(self, first_slot: int) -> Decoder:
         """Return a function that decodes the TPDO frames of one SYNC into this drive's reading.
@@ -318,8 +308,4 @@ class Cia402Drive:
         ConfigurationRefused
             The drive has not been configured.
         """
-        unpack = [plan.layout.unpack for plan in self._tpdos]
-        if len(unpack) == 1:
-            return single_decoder(self.node_id, first_slot, unpack[0], self.scale)
-        fields = Fields("velocity" in self._roles, "current" in self._roles)
-        return double_decoder(self.node_id, first_slot, (unpack[0], unpack[1]), self.scale, fields)
+        return reading_decoder(self.setup, self.scale, first_slot)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from drives.alignment import Alignment
 from drives.bus import Bus, Frame
@@ -26,9 +26,8 @@ _ASK_AGAIN_S: Final = 0.1
 _LOOK_S: Final = 0.001
 
 
-@dataclass(frozen=True, slots=True)
-class Epoch:
-    """Readings of all axes at one SYNC.
+class Epoch(NamedTuple):
+    """Readings of all axes at one SYNC; a tuple, as `DriveReading`.
 
     Attributes
     ----------

@@ -7,16 +7,18 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, Literal
 
 from drives.bus import SYNC_ID, Bus, Frame
+from drives.busload import LOAD_LIMIT_PERCENT
 from drives.cia402 import ENABLE_OPERATION, WARNING, State, decode_state
 from drives.clock import LockstepClock, SyncClock, spare_collections
 from drives.decode import Decoder, Frames
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch, EpochCollector
 from drives.heartbeat import HeartbeatProducer
-from drives.instrument import Instrument
+from drives.instrument import Instrument, InstrumentSetup
 from drives.reactions import DRIVE_RULES
 from drives.standstill import Standstill
 from drives.values import DriveReading
@@ -30,8 +32,46 @@ _MAX_UNASSIGNABLE: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
+class GroupOptions:
+    """Times and limits of a group; the defaults suit six drives.
+
+    Attributes
+    ----------
+    ledger_path : Path, optional
+        File of the write ledger, for a restore after a crash.
+    answer_timeout_s : float
+        Lockstep: longest wait for a drive that answers neither SYNC nor the SDO query.
+    gap_timeout_s : float
+        Lockstep: how long answers are waited for until that query is sent, and again before the next SYNC.
+    window : float
+        Real time: share of the SYNC period in which an answer counts.
+    unanswered_syncs : int or None
+        SYNCs in a row that an axis may leave unanswered; None = as the table of reactions says.
+    foreign_frames : int
+        SDO requests or setpoints of another master with one id; of SYNC and NMT commands one frame is enough.
+    load_limit_percent : float
+        Real time: largest planned worst-case bus load.
+    instruments : tuple of InstrumentSetup
+        Measuring devices on the same bus, read at each SYNC.
+    allow_real_drive : bool
+        A real drive may be driven over a network interface (udp_multicast, virtual, socketcand), although any computer
+        there can send frames. Lockstep stays refused.
+    """
+
+    ledger_path: Path | None = None
+    answer_timeout_s: float = 1.0
+    gap_timeout_s: float = 0.02
+    window: float = 0.9
+    unanswered_syncs: int | None = None
+    foreign_frames: int = DRIVE_RULES["foreign_master"].count
+    load_limit_percent: float = LOAD_LIMIT_PERCENT
+    instruments: tuple[InstrumentSetup, ...] = ()
+    allow_real_drive: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Timing:
-    """Period, pacing and time-outs of the SYNC exchange.
+    """Period and pacing of the SYNC exchange.
 
     Attributes
     ----------
@@ -39,19 +79,13 @@ class Timing:
         Time between two SYNCs; in lockstep the simulated time of one SYNC.
     pacing : "lockstep" or "real"
         Next SYNC as soon as all have answered, or in real time.
-    answer_timeout_s : float
-        Lockstep: longest wait for a drive that answers neither SYNC nor the SDO query.
-    gap_timeout_s : float
-        Lockstep: how long answers are waited for until that query is sent, and again before the next SYNC.
-    window : float
-        Real time: share of the SYNC period in which an answer counts.
+    options : GroupOptions
+        Its time-outs.
     """
 
     period_s: float
     pacing: Pacing = "lockstep"
-    answer_timeout_s: float = 1.0
-    gap_timeout_s: float = 0.02
-    window: float = 0.9
+    options: GroupOptions = GroupOptions()
 
 
 class SyncExchange:
@@ -86,8 +120,8 @@ class SyncExchange:
         self.states: list[State | None] = [None] * len(self.drives)
         #: SYNCs in a row that each axis left unanswered.
         self.unanswered = [0] * len(self.drives)
-        #: Statusword of each axis whose last answer came, but cannot be assigned to its SYNC; else None.
-        self.unassigned: list[int | None] = [None] * len(self.drives)
+        #: Statusword of each axis in what came since the last SYNC, assigned to it or not; None = nothing came.
+        self.statuswords: list[int | None] = [None] * len(self.drives)
         #: Tests of rest of each axis.
         self.standstills: list[Standstill] = []
         #: Last known position of each axis, counts; None before the first.
@@ -118,11 +152,10 @@ class SyncExchange:
             owners += [instrument.access.sdo] * len(instrument.answers)
         if timing.pacing == "real":
             self.clock = SyncClock(bus, timing.period_s)
-            self.collector = EpochCollector(bus, slots, timing.window * timing.period_s)
+            self.collector = EpochCollector(bus, slots, timing.options.window * timing.period_s)
         else:
             self.clock = LockstepClock(bus, timing.period_s)
-            self.collector = EpochCollector(bus, slots, timing.gap_timeout_s, owners)
-        self._feeding = tuple(drive for drive in self.drives if drive.setup.feedforward)
+            self.collector = EpochCollector(bus, slots, timing.options.gap_timeout_s, owners)
         self._decoders: tuple[Decoder, ...] = ()
         self._unassignable = [0] * len(self.drives)
         #: Delayed answers of each axis when it began to leave SYNCs unanswered.
@@ -134,8 +167,11 @@ class SyncExchange:
         self._begun_by: int | None = None
         self._certain = True
         self._due_s = self._began_s = self._wall_s = 0.0
-        #: Targets of the last SYNC, while those of the next one are being sent.
-        self._recall: list[int] | None = None
+        #: Targets of the last SYNC, while those of the next one are being sent; empty = nothing is being sent.
+        self._recall: list[int] = []
+        #: RPDO1 of all axes, then the second ones.
+        self._frames: list[Frame] = [frame for each in self.drives for frame in each.frames]
+        self._frames.sort(key=lambda frame: frame.arbitration_id >> 8)
         self._bus = bus
         self._producer = producer
         self._sync_frame = bus.prepare(SYNC_ID, 0)
@@ -156,7 +192,7 @@ class SyncExchange:
         self._decoders = tuple(drive.decoder(slot) for drive, slot in zip(self.drives, self._first_slots, strict=True))
         self.clock.restart()
         self.collector.restart()
-        self.collector.answer_timeout_s = self.timing.answer_timeout_s
+        self.collector.answer_timeout_s = self.timing.options.answer_timeout_s
         axes = len(self.drives)
         self.unanswered, self._unassignable, self._moved = [0] * axes, [0] * axes, False
         self.position_count = [None] * axes
@@ -187,7 +223,7 @@ class SyncExchange:
 
     def hurry(self) -> None:
         """Shorten the time-outs for missing responses from now on, because the axes have to be stopped."""
-        self.collector.answer_timeout_s = min(_HURRY_S, self.timing.answer_timeout_s)
+        self.collector.answer_timeout_s = min(_HURRY_S, self.timing.options.answer_timeout_s)
 
     def cycle(self, words: Sequence[int] | None) -> Epoch:
         """Run one SYNC cycle with these controlwords and the staged setpoints; None = SYNC without RPDOs.
@@ -202,7 +238,7 @@ class SyncExchange:
         """
         try:
             self.begin(words)
-            self.prepare(self.clock.wait())
+            self.prepare()
             self.sync()
             return self.gather()
         finally:
@@ -217,18 +253,47 @@ class SyncExchange:
         self._bus.receive_lock.acquire()
         self._begun_by = threading.get_ident()
         self._producer.tick(self.sync_time_s)
-        frames, self._moves = self._pack(words)
-        self._moving = words is not None and ENABLE_OPERATION in words and (self._moves or self._moved)
+        self._recall = recall = []
+        self._moves = self._moving = False
+        for drive, word, state in () if words is None else zip(self.drives, words, self.states, strict=True):
+            before = drive.target_count
+            recall.append(before)
+            drive.pack(word)
+            if word == ENABLE_OPERATION:
+                self.powered = True
+                self._moves |= drive.target_count != before and state is State.OPERATION_ENABLED
+                self._moving = self._moves or self._moved
         self._refuse_overdue()
-        for frame in frames:
+        for frame in () if words is None else self._frames:
             self._bus.send_frame(frame)
 
-    def prepare(self, now_s: float) -> None:
-        """Second part, once the SYNC is due [monotonic s]: read delayed answers; raises `MasterStalled`."""
+    def prepare(self, due_s: float | None = None) -> float:
+        """Second part: wait until the SYNC is due, and read delayed answers.
+
+        Parameters
+        ----------
+        due_s : float, optional
+            As another exchange that sends its SYNC at the same time has returned it [monotonic s].
+
+        Returns
+        -------
+        float
+            When it was due [monotonic s].
+
+        Raises
+        ------
+        MasterStalled
+            As `cycle`.
+        """
+        if due_s is None:
+            due_s = self.clock.wait()
+        else:
+            self.clock.follow(due_s)
         self.collector.sweep()
         self._refuse_overdue()
         self._certain = self.clock.paused_s <= self.timing.period_s
-        self._due_s = now_s
+        self._due_s = due_s
+        return due_s
 
     def sync(self) -> None:
         """Third part: send the SYNC; raises `BusError`."""
@@ -236,7 +301,7 @@ class SyncExchange:
         self.sync_index += 1
         began_s = time.monotonic()
         delay_s = self._bus.send_frame(self._sync_frame)
-        self._recall = None
+        self._recall = []
         self.sent_s = time.monotonic()
         self.clock.sent(self._due_s, delay_s)
         self._began_s = began_s + delay_s
@@ -252,7 +317,7 @@ class SyncExchange:
             self.started_s = self._due_s
         index = self.sync_index
         time_s = self.clock.time_s(index, self._began_s - self.started_s)
-        beside = tuple(instrument.decode(index, frames, slot) for instrument, slot in self._instruments)
+        beside = tuple([instrument.decode(index, frames, slot) for instrument, slot in self._instruments])
         epoch = Epoch(index, time_s, self._row(frames), beside)
         self.cycles += 1
         self.abandon()
@@ -262,10 +327,9 @@ class SyncExchange:
         """Abandon a cycle that this thread has begun: commands not yet sent with a SYNC are discarded."""
         if self._begun_by != threading.get_ident():
             return
-        if self._recall is not None:
-            for drive, count in zip(self.drives, self._recall, strict=True):
-                drive.target_count = count
-            self._recall = None
+        for drive, count in zip(self.drives, self._recall, strict=False):  # fewer, if one could not be packed
+            drive.target_count = count
+        self._recall = []
         self._begun_by = None
         self._bus.receive_lock.release()
 
@@ -278,41 +342,31 @@ class SyncExchange:
             self.clock.restart()
             raise rule.raised(f"this computer stalled for {paused_s:.3f} s while the arm moved")
 
-    def _pack(self, words: Sequence[int] | None) -> tuple[list[Frame], bool]:
-        """Return the staged frames, and whether one of them commands a movement of an enabled axis."""
-        if words is None:
-            return [], False
-        self._recall = [drive.target_count for drive in self.drives]
-        frames, moves = [], False
-        for drive, word, before, state in zip(self.drives, words, self._recall, self.states, strict=True):
-            frames.append(drive.frame(word))
-            if word == ENABLE_OPERATION:
-                self.powered = True
-                moves |= drive.target_count != before and state is State.OPERATION_ENABLED
-        offsets = (drive.offset_frame() for drive in self._feeding)
-        return [*frames, *(frame for frame in offsets if frame is not None)], moves
-
     def _row(self, frames: Frames) -> tuple[DriveReading | None, ...]:
-        index, states, unanswered, time_s = self.sync_index, self.states, self.unanswered, self.sync_time_s
-        unassigned, unassignable = self.unassigned, self._unassignable
+        index, unanswered, time_s = self.sync_index, self.unanswered, self.sync_time_s
+        statuswords, counts, unassignable = self.statuswords, self.position_count, self._unassignable
         row: list[DriveReading | None] = []
         missing = False
-        for axis, decode in enumerate(self._decoders):
+        for axis, (decode, standstill) in enumerate(zip(self._decoders, self.standstills, strict=True)):
             reading = decode(index, frames)
             row.append(reading)
             if reading is None:
                 missing = True
                 self._without(axis, decode)
                 continue
+            word, count = reading.statusword, reading.position_count
             unanswered[axis] = unassignable[axis] = 0
-            unassigned[axis] = None
-            states[axis] = decode_state(reading.statusword)
-            if reading.statusword & WARNING:
+            if word != statuswords[axis]:
+                self._see_statusword(axis, word)
+            if word & WARNING:
                 self.warnings += 1
-            self.position_count[axis] = reading.position_count
-            self.standstills[axis].see(time_s, reading.position_count)
+            counts[axis] = count
+            standstill.see(time_s, count)
         self.incomplete += missing
         return tuple(row)
+
+    def _see_statusword(self, axis: int, word: int) -> None:
+        self.statuswords[axis], self.states[axis] = word, decode_state(word)
 
     def _without(self, axis: int, decode: Decoder) -> None:
         """Count a SYNC without an assigned answer: as missing, or as received but not assignable."""
@@ -320,10 +374,9 @@ class SyncExchange:
             self._delayed_before[axis] = self._delayed(axis)
         came = decode(self.sync_index, self.collector.frames)
         if came is None:
-            self.unassigned[axis] = None
+            self.statuswords[axis] = None
             self.unanswered[axis] += 1
             return
-        self.unassigned[axis] = came.statusword
-        self.states[axis] = decode_state(came.statusword)
+        self._see_statusword(axis, came.statusword)
         self._unassignable[axis] += 1
         self.unanswered[axis] = self.unanswered[axis] + 1 if self._unassignable[axis] > _MAX_UNASSIGNABLE else 0

@@ -1,8 +1,9 @@
 """The gate before power and before a person: what was just read from every drive of an arm, as one record.
 
 What may be done with an arm, and what is said of it, comes from an `ArmState`. The gate reads by SDO and writes
-nothing. The brief gate reads state and position of each drive; boot-ups and emergencies since the last one count.
-The full gate also reads the identity, every configured object and PDO, and the conditions of the safety chain.
+nothing. The brief gate reads state and position of each drive; boot-ups, emergencies and NMT states that came since the
+last one count. The full gate also reads the identity, every configured object and PDO, and the conditions of the
+safety chain.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from drives.errors import (
     DriveError,
     DriveFault,
     DriveRebooted,
+    ForeignMaster,
     IdentityMismatch,
     SdoTimeout,
     raise_failures,
@@ -37,6 +39,9 @@ from drives.sdo_channel import NOT_ANSWERING
 #: Differences of one drive that a message names beside the first one.
 _NAMED: Final = 8
 _AGAIN: Final = "check its supply, then run the command again"
+_OTHER_MASTER: Final = "another master has started it: disconnect that one, then run the command again"
+#: Heartbeats in OPERATIONAL that a drive may have sent before it received the command to leave it.
+_SENT_BEFORE: Final = 1
 #: All drives are asked at once whether they are there, so often, and looked at in this interval [s].
 _QUESTIONS: Final = 2
 _LOOK_S: Final = 0.001
@@ -176,6 +181,9 @@ class Gate:
             elif failure is None and sent is not None and not sent.is_reset:
                 what = f"sent an emergency while it was disabled: {sent.what}"
                 failure = DriveFault(what, node=drive.node_id, code=sent.code, advice=sent.advice or _AGAIN)
+            elif failure is None and (self._watch.started or {}).get(drive.node_id, 0) > _SENT_BEFORE:
+                what = "is in NMT state OPERATIONAL, in which a PDO can enable it; this master did not command it"
+                failure = ForeignMaster(what, node=drive.node_id, advice=_OTHER_MASTER)
             states.append(replace(drive, failure=failure))
         return ArmState(tuple(states), began, full)
 
@@ -210,7 +218,7 @@ class Gate:
                 raise unsafe or DriveFault(what, node=node, index=0x6041, code=status, advice=advice)
             if full:
                 before, now = drive.identity, read_identity(drive.access.sdo)
-                if before is not None and now != before:
+                if now != before:
                     names = [each.name for each in fields(now) if getattr(now, each.name) != getattr(before, each.name)]
                     changes = "; ".join(
                         f"{name.replace('_', ' ')} was {getattr(before, name)}, {getattr(now, name)} is read"

@@ -10,14 +10,12 @@ send the master's heartbeat, so that a blocked master stops the arm as a crashed
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Final, TypeVar, TypeVarTuple
 
 from drives import bringup, enabling, stopping
-from drives.bus import Bus
 from drives.cia402 import ENABLE_OPERATION
-from drives.drive import AxisSetup, Cia402Drive, DriveCommand
+from drives.drive import DriveCommand
 from drives.epoch import Epoch
 from drives.errors import (
     ConfigurationRefused,
@@ -30,11 +28,11 @@ from drives.errors import (
     raise_failures,
     while_stopping,
 )
-from drives.exchange import Pacing, SyncExchange, Timing
+from drives.exchange import GroupOptions, SyncExchange
 from drives.gate import ArmState, Gate
-from drives.heartbeat import MASTER_NODE_ID, HeartbeatProducer, HeartbeatWatch, NmtCommand, send_nmt
+from drives.heartbeat import HeartbeatWatch, NmtCommand, send_nmt
 from drives.monitor import Monitor
-from drives.nodes import GroupOptions, Nodes
+from drives.nodes import Nodes
 from drives.proof import BrakeTest, DriveTest, HeartbeatLossTest, QuickStopTest
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
@@ -42,13 +40,16 @@ from drives.values import Identity
 
 __all__ = ["DriveGroup", "GroupOptions"]
 
+Values = TypeVarTuple("Values")
+Returned = TypeVar("Returned")
+
 #: While a person is at the arm: interval at which every drive is read [s].
 _GATE_EVERY_S: Final = 1.0
 #: And how long one call listens [s]; a quarter of the shortest heartbeat time is longer.
 _ATTEND_S: Final = 0.02
 
 
-class DriveGroup:
+class DriveGroup(Nodes):
     """Drives of one arm that share one SYNC.
 
     Before `exchange`, `hold` or a stop test raises an error, all axes are stopped by their quick stop ramps as far as
@@ -56,62 +57,22 @@ class DriveGroup:
     stop is not confirmed, the master's heartbeat has ended, and the drives have to be found and configured again before
     they can be enabled.
 
-    Parameters
-    ----------
-    bus, setups, sync_period_s, pacing, master_node_id, options
-        As `Nodes`, which raises their errors.
-
-    Attributes
-    ----------
-    nodes : Nodes
+    Parameters as `Nodes`, which raises their errors.
     """
 
-    def __init__(
-        self,
-        bus: Bus,
-        setups: Sequence[AxisSetup],
-        sync_period_s: float,
-        pacing: Pacing = "lockstep",
-        master_node_id: int = MASTER_NODE_ID,
-        options: GroupOptions | None = None,
-    ) -> None:
-        self.nodes = Nodes(bus, setups, sync_period_s, pacing, master_node_id, options)
-        #: Every axis is in OPERATION ENABLED and follows `exchange`.
-        self.enabled = False
-        #: Called before the axes are stopped because of an error, so that other arms stop in the same cycle.
-        self.on_stop: Callable[[], None] = lambda: None
-        self._bus = bus
-        consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
-        self._producer = HeartbeatProducer(bus, master_node_id, consumer_s)
-        self._watch: HeartbeatWatch | None = None
-        self._exchange: SyncExchange | None = None
-        self._monitor: Monitor | None = None
-        self._gate: Gate | None = None
-        self._running = self._configured = False
-        self._enable_controlwords = (ENABLE_OPERATION,) * len(setups)
-        #: Stop test in progress; None = none.
-        self._test: DriveTest | None = None
-        #: Monotonic time of the last gate [s].
-        self._gated_s = 0.0
-        bus.add_chore(self._beat)
-
-    def _beat(self) -> None:
-        self._producer.tick(0.0 if self._exchange is None else self._exchange.sync_time_s)
-
-    @property
-    def bus(self) -> Bus:
-        """Return the bus of the drives."""
-        return self._bus
-
-    @property
-    def timing(self) -> Timing:
-        """Return period and pacing of the exchange."""
-        return self.nodes.timing
-
-    @property
-    def drives(self) -> tuple[Cia402Drive, ...]:
-        """Return the drives, in the order of the axes."""
-        return self.nodes.drives
+    #: Every axis is in OPERATION ENABLED and follows `exchange`.
+    enabled = False
+    #: Called before the axes are stopped because of an error, so that other arms stop in the same cycle.
+    on_stop: Callable[[], None] | None = None
+    _watch: HeartbeatWatch | None = None
+    _exchange: SyncExchange | None = None
+    _monitor: Monitor | None = None
+    _gate: Gate | None = None
+    _running = _configured = False
+    #: Stop test in progress; None = none.
+    _test: DriveTest | None = None
+    #: Monotonic time of the last gate [s].
+    _gated_s = 0.0
 
     @property
     def sync_index(self) -> int:
@@ -126,7 +87,7 @@ class DriveGroup:
     @property
     def statistics(self) -> GroupStatistics:
         """Return the counters and latencies so far."""
-        return group_statistics(self.nodes, self._exchange)
+        return group_statistics(self, self._exchange)
 
     def _require(self, condition: bool, advice: str) -> None:
         if not condition:
@@ -142,17 +103,17 @@ class DriveGroup:
     def connect(self) -> tuple[Identity, ...]:
         """Find every node and compare it with its profile; raises as `bringup.connect`."""
         self._close_exchange()
-        bringup.connect(self.nodes)
-        return tuple(drive.identity for drive in self.drives if drive.identity is not None)
+        bringup.connect(self)
+        return tuple(drive.identity for drive in self.drives)
 
     def configure(self) -> None:
         """Configure every node, and prepare the exchange; raises as `bringup.configure`."""
         self._require(bool(self.drives) and not self._running, "connect() first, and do not configure while enabled")
-        first_index, timing, nodes = self.sync_index, self.timing, self.nodes
+        first_index = self.sync_index
         self._close_exchange()
-        exchange = SyncExchange(self._bus, self.drives, timing, self._producer, first_index, nodes.instruments)
+        exchange = SyncExchange(self.bus, self.drives, self.timing, self.heartbeat, first_index, self.instruments)
         try:
-            bringup.configure(nodes)
+            bringup.configure(self)
         except BaseException:
             exchange.close()
             raise
@@ -160,11 +121,11 @@ class DriveGroup:
         periods_ms = {drive.node_id: drive.setup.profile.heartbeat.producer_ms for drive in self.drives}
         least_s = DRIVE_RULES["heartbeat_lost"].limit
         gaps_s = [None if each is None else max(least_s, 3.0 * each / 1000.0) for each in periods_ms.values()]
-        watch = HeartbeatWatch(self._bus, tuple(periods_ms), gaps_s, lambda: exchange.sync_time_s)
+        watch = HeartbeatWatch(self.bus, tuple(periods_ms), gaps_s, lambda: exchange.sync_time_s)
         self._exchange, self._watch = exchange, watch
-        limits = {"silent": nodes.options.unanswered_syncs, "foreign_master": nodes.options.foreign_frames}
-        self._monitor = Monitor(self._bus, exchange, watch, nodes.emcy, limits)
-        self._gate = Gate(self._bus, self.drives, watch, nodes.emcy)
+        limits = {"silent": self.options.unanswered_syncs, "foreign_master": self.options.foreign_frames}
+        self._monitor = Monitor(self.bus, exchange, watch, self.emcy, limits)
+        self._gate = Gate(self.bus, self.drives, watch, self.emcy)
         self._configured = True
 
     def _close_exchange(self) -> None:
@@ -186,7 +147,7 @@ class DriveGroup:
         """
         self._require(not self._running, "disable() before restoring")
         self._close_exchange()
-        self.nodes.restore()
+        super().restore()
 
     # -- looking before anything is done ------------------------------------------------------------------------------
 
@@ -230,9 +191,9 @@ class DriveGroup:
             What has changed since the gate before: the arm is not safe to approach.
         """
         self._require(not self._running, "disable() first")
-        if not self._producer.running:
-            self._producer.start(self.sync_index * self.timing.period_s)
-        self._bus.listen(_ATTEND_S)
+        if not self.heartbeat.running:
+            self.heartbeat.start(self.sync_index * self.timing.period_s)
+        self.bus.listen(_ATTEND_S)
         if time.monotonic() - self._gated_s >= _GATE_EVERY_S:
             self.gate().require_approach()
 
@@ -267,15 +228,15 @@ class DriveGroup:
         if stop_requested():
             raise StopRequested("a stop was requested before the drives were enabled")
         try:
-            raise_failures(self.nodes.failures(lambda drive: drive.arm(self.nodes.master_node_id), self.drives))
-            self.nodes.ledger.settle()
+            raise_failures(self.failures(lambda drive: drive.arm(self.master_node_id), self.drives))
+            self.ledger.settle()
             self.gate().require_approach()  # what happened while the consumer times were written
             monitor.forgive()
-            self._bus.free_count = None  # from now on the monitor watches for other masters
+            self.bus.free_count = None  # from now on the monitor watches for other masters
             exchange.restart()
-            self._producer.start(exchange.sync_time_s)
+            self.heartbeat.start(exchange.sync_time_s)
             self._running = True
-            epoch = enabling.enable(self._bus, exchange, self.nodes.instruments, monitor, stop_requested)
+            epoch = enabling.enable(self.bus, exchange, self.instruments, monitor, stop_requested)
         except BaseException as error:
             self._after(error, stopping.disable)
             if isinstance(error, DriveError):
@@ -308,12 +269,12 @@ class DriveGroup:
             stopped. At rest, the row of a delayed SYNC is only marked incomplete.
         """
         self._stage(commands)
-        return self._cycle()
+        return self._stopping(self._cycle)
 
     def hold(self) -> Epoch:
         """Run one SYNC cycle with the last commanded positions and no torque offset; raises as `exchange`."""
         self._stage(None)
-        return self._cycle()
+        return self._stopping(self._cycle)
 
     def _stage(self, commands: Sequence[DriveCommand] | None) -> None:
         if not self.enabled:
@@ -353,8 +314,7 @@ class DriveGroup:
             As `exchange`; None = the last ones.
         """
         self._stage(commands)
-        with self._stopping():
-            self._parts()[0].begin(self._enable_controlwords)
+        self._stopping(self._parts()[0].begin, (ENABLE_OPERATION,) * len(self.drives))
 
     def prepare(self, at_s: float | None = None) -> float:
         """Second part: wait until the SYNC is due, by this group's clock or as it is due by that of another one.
@@ -374,29 +334,19 @@ class DriveGroup:
         MasterStalled
             As `exchange`.
         """
-        exchange, _ = self._parts()
-        with self._stopping():
-            if at_s is None:
-                at_s = exchange.clock.wait()
-            else:
-                exchange.clock.follow(at_s)
-            exchange.prepare(at_s)
-        return at_s
+        return self._stopping(self._parts()[0].prepare, at_s)
 
     def sync(self) -> None:
         """Third part: the SYNC; raises `BusError`, and all axes have been stopped."""
-        with self._stopping():
-            self._parts()[0].sync()
+        self._stopping(self._parts()[0].sync)
 
     def gather(self) -> Epoch:
         """Fourth part: collect the responses unchecked; raises `BusError` after all axes have been stopped."""
-        with self._stopping():
-            return self._parts()[0].gather()
+        return self._stopping(self._parts()[0].gather)
 
     def check(self, epoch: Epoch) -> None:
         """Fifth part: check the epoch; raises as `exchange`."""
-        with self._stopping():
-            self._looked_at(epoch)
+        self._stopping(self._looked_at, epoch)
 
     def abandon(self) -> None:
         """Abandon a SYNC that was begun; the axes keep their last targets."""
@@ -458,16 +408,15 @@ class DriveGroup:
 
     def _last_beat(self) -> None:
         """Send the last heartbeat, from which the drives measure their consumer time, and stop the producer."""
-        self._producer.start(self.sync_index * self.timing.period_s)
-        self._producer.stop()
+        self.heartbeat.start(self.sync_index * self.timing.period_s)
+        self.heartbeat.stop()
 
     def _cycle(self) -> Epoch:
-        with self._stopping():
-            words = self._enable_controlwords if self._test is None else self._test.controlwords()
-            return self._looked_at(self._parts()[0].cycle(words))
+        words = (ENABLE_OPERATION,) * len(self.drives) if self._test is None else self._test.controlwords()
+        return self._looked_at(self._parts()[0].cycle(words))
 
     def _looked_at(self, epoch: Epoch) -> Epoch:
-        self.nodes.emcy.sync_index = epoch.sync_index
+        self.emcy.sync_index = epoch.sync_index
         monitor, test = self._parts()[1], self._test
         if test is not None:
             test.see(epoch)
@@ -478,12 +427,11 @@ class DriveGroup:
         monitor.check(epoch)
         return epoch
 
-    @contextmanager
-    def _stopping(self) -> Generator[None]:
-        """Context in which any error stops all axes before it is raised."""
+    def _stopping(self, part: Callable[[*Values], Returned], *values: *Values) -> Returned:
+        """Run a part of a cycle; any error stops all axes before it is raised."""
         exchange, monitor = self._parts()
         try:
-            yield
+            return part(*values)
         except Exception as error:
             exchange.abandon()
             self.enabled = False
@@ -499,7 +447,8 @@ class DriveGroup:
             self._configured = False
         failures: list[DriveError] = []
         try:
-            self.on_stop()
+            if self.on_stop is not None:
+                self.on_stop()
         except Exception as failed:
             failures.append(while_stopping(failed))
         if self._running and self._exchange is not None:
@@ -523,7 +472,7 @@ class DriveGroup:
         except Exception as error:
             failures = [while_stopping(error)]
         if failures:
-            self._producer.stop()
+            self.heartbeat.stop()
             self._configured = False
         return failures
 
@@ -578,40 +527,38 @@ class DriveGroup:
             except Exception as error:
                 what = f"{type(error).__name__}: {error}"
                 failures.append(DriveError(what, node=drive.node_id, advice="report this"))
-        self._producer.stop()
+        self.heartbeat.stop()
         self._running = False
         if self._gate is not None:
             self._gate.restart()
-        self._bus.free_count = self._bus.foreign_count
+        self.bus.free_count = self.bus.foreign_count
         try:
             if not failures and not unreached:
                 self._to_preoperational()  # no PDO of any master can enable them now
-            self.nodes.ledger.settle()
+            self.ledger.settle()
         except DriveError as error:
             failures.append(error)
         return failures
 
     def _to_preoperational(self) -> None:
-        for node in self.nodes.all:
-            send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
+        if self._watch is not None:
+            self._watch.left_operational()
+        for node in self.all:
+            send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
 
     def close(self) -> None:
         """Disable if enabled, leave the drives in PRE-OPERATIONAL, stop listening; may be called again."""
         try:
             self.disable()
         finally:
-            self._producer.stop()
+            self.heartbeat.stop()
             try:
                 if self._exchange is not None:
                     self._to_preoperational()
             except Exception:
-                self._bus.counts["unsent_at_close"] += 1
+                self.bus.counts["unsent_at_close"] += 1
             self._close_exchange()
-            self.nodes.close()
-            self._bus.remove_chore(self._beat)
-
-    def __enter__(self) -> DriveGroup:
-        return self
+            super().close()
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         try:

@@ -6,6 +6,7 @@ A drive is monitored from its first heartbeat on.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Final
@@ -50,6 +51,8 @@ def send_nmt(bus: Bus, command: NmtCommand, node_id: int) -> None:
 class HeartbeatProducer:
     """Sends the master's heartbeat when it is due, by SYNC time or by the wall clock, whichever comes first.
 
+    While it runs, it is also sent whenever the bus waits for an answer.
+
     Parameters
     ----------
     bus : Bus
@@ -66,27 +69,34 @@ class HeartbeatProducer:
         self._frame.data[0] = NmtState.OPERATIONAL
         self._interval_s = consumer_s / 4.0
         self._due_s = 0.0
-        self._sync_time_due_s = 0.0
+        self._sync_time_s = self._sync_time_due_s = 0.0
 
     def start(self, sync_time_s: float) -> None:
         """Send the first heartbeat, from which on the drives monitor it."""
+        if not self.running:
+            self._bus.add_chore(self._chore)
         self.running = True
         self._beat(time.monotonic(), sync_time_s)
 
     def stop(self) -> None:
         """Stop the heartbeat."""
         self.running = False
+        self._bus.remove_chore(self._chore)
 
     def tick(self, sync_time_s: float) -> None:
         """Send a heartbeat if one is due; `sync_time_s` is the time that the drives count by SYNCs."""
         now = time.monotonic()
+        self._sync_time_s = sync_time_s
         if self.running and (sync_time_s >= self._sync_time_due_s or now >= self._due_s):
             self._beat(now, sync_time_s)
+
+    def _chore(self) -> None:
+        self.tick(self._sync_time_s)
 
     def _beat(self, now_s: float, sync_time_s: float) -> None:
         self._bus.send_frame(self._frame)
         self._due_s = now_s + self._interval_s
-        self._sync_time_due_s = sync_time_s + self._interval_s
+        self._sync_time_s, self._sync_time_due_s = sync_time_s, sync_time_s + self._interval_s
 
 
 class HeartbeatWatch:
@@ -116,6 +126,8 @@ class HeartbeatWatch:
         self.booted: set[int] = set()
         #: Nodes whose heartbeat showed that they left OPERATIONAL since then.
         self.left: set[int] = set()
+        #: Heartbeats in OPERATIONAL since the nodes were commanded to leave it; None = they may be in it.
+        self.started: Counter[int] | None = None
         self._limits_s = dict(zip(node_ids, limits_s, strict=True))
         self._last_s: dict[int, tuple[float, float]] = {}
         self._sync_time_s = sync_time_s or time.monotonic
@@ -137,14 +149,21 @@ class HeartbeatWatch:
         if self.states[node_id] is NmtState.OPERATIONAL and state in (NmtState.PREOPERATIONAL, NmtState.STOPPED):
             self.left.add(node_id)
         self.states[node_id] = state
+        if self.started is not None and state is NmtState.OPERATIONAL:
+            self.started[node_id] += 1
         if state is NmtState.BOOT_UP:
             self.booted.add(node_id)
             self._last_s.pop(node_id, None)
         else:
             self._last_s[node_id] = (time.monotonic(), self._sync_time_s())
 
+    def left_operational(self) -> None:
+        """The nodes are commanded to leave OPERATIONAL: from now on their heartbeats in it are counted."""
+        self.started = Counter()
+
     def forgive(self) -> None:
         """Clear boot-ups and state changes; every timer restarts at the next heartbeat."""
+        self.started = None
         self.booted.clear()
         self.left.clear()
         self._last_s.clear()

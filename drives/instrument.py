@@ -10,14 +10,14 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from drives.access import AccessRules, NodeAccess
+from drives.access import NodeAccess
 from drives.bus import Bus
 from drives.decode import Frames
 from drives.errors import ConfigurationRefused, IdentityMismatch
 from drives.ledger import WriteLedger
-from drives.objects import OBJECTS, RPDO_COMMUNICATION, TPDO_COMMUNICATION, TPDO_MAPPING
+from drives.objects import OBJECTS, RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from drives.other_pdos import OtherPdo
-from drives.pdo import PdoPlan
+from drives.pdo import PdoPlan, tpdo_plan
 from drives.profile_parts import ObjectReference
 from drives.values import Identity, InstrumentReading
 
@@ -77,16 +77,7 @@ class InstrumentSetup:
         if len(frames) > _TPDOS:
             what = f"{len(self.subindices)} channels need {len(frames)} TPDOs, a device has {_TPDOS}"
             raise ConfigurationRefused(what, node=self.node_id, advice="use fewer channels, or 16 bits")
-        return tuple(
-            PdoPlan(
-                f"TPDO{number + 1}",
-                TPDO_COMMUNICATION + number,
-                TPDO_MAPPING + number,
-                0x180 + 0x100 * number + self.node_id,
-                tuple(frame),
-            )
-            for number, frame in enumerate(frames)
-        )
+        return tuple(tpdo_plan(number, self.node_id, frame) for number, frame in enumerate(frames, start=1))
 
 
 class Instrument:
@@ -110,8 +101,8 @@ class Instrument:
         self.other_pdos: tuple[OtherPdo, ...] = ()
         #: Those of them that stay on, as far as it is known.
         self.left_pdos: tuple[OtherPdo, ...] = ()
-        self.access = NodeAccess(bus, setup.node_id, AccessRules("measuring device", allowed), ledger)
-        self.identity: Identity | None = None
+        self.access = NodeAccess(bus, setup.node_id, "measuring device", allowed, ledger)
+        self.identity = Identity(setup.node_id)
         self._unpack = [plan.layout.unpack for plan in self.plans]
 
     def close(self) -> None:
@@ -125,7 +116,7 @@ class Instrument:
 
     def check_identity(self) -> None:
         """Make sure that this is a CiA 404 measuring device; raises `IdentityMismatch`."""
-        kind = None if self.identity is None else self.identity.device_type
+        kind = self.identity.device_type
         if kind is not None and kind & 0xFFFF != PROFILE_NUMBER:
             what = f"device type {kind:#010x} is not a CiA 404 measuring device"
             raise IdentityMismatch(what, node=self.node_id, index=0x1000, advice="correct the node id in the cell")

@@ -1,8 +1,7 @@
-"""Latency of SDO responses, as one histogram per node."""
+"""Statistics of the SDO responses of one node."""
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from dataclasses import dataclass
 from typing import Final
 
@@ -36,28 +35,3 @@ class SdoStatistics:
     late: int
     foreign: int
     aborts: int
-
-
-class LatencyHistogram:
-    """Counts latencies in fixed bins."""
-
-    def __init__(self) -> None:
-        self.bins = [0] * (len(LATENCY_EDGES_S) + 1)
-        self.sum_s = 0.0
-        self.max_s = 0.0
-
-    def add(self, latency_s: float) -> None:
-        """Count one response."""
-        self.bins[bisect_left(LATENCY_EDGES_S, latency_s)] += 1
-        self.sum_s += latency_s
-        self.max_s = max(self.max_s, latency_s)
-
-    @property
-    def count(self) -> int:
-        """Return the number of responses."""
-        return sum(self.bins)
-
-    @property
-    def mean_s(self) -> float:
-        """Return the mean latency [s]; 0 before the first response."""
-        return self.sum_s / self.count if self.count else 0.0

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Final, NoReturn
 
 from drives.access import Entry
 from drives.bus import EMCY_BASE, SDO_ANSWER_BASE, SYNC_ID, Bus
-from drives.decode import Decoder, Fields, double_decoder, single_decoder
+from drives.decode import Decoder, reading_decoder
 from drives.emcy import Emergency, parse_emergency
 from drives.epoch import Epoch
 from drives.errors import ConfigurationRefused
 from drives.objects import SIZE_BYTES, decode_integer
-from drives.pdo import COMMAND, rpdo_plan, tpdo_plans
-from drives.profile import DriveProfile
+from drives.pdo import COMMAND, rpdo_plans, tpdo_plans
 from drives.scaling import Constants, MotorScale, motor_scale, read_constants
 from drives.sdo_channel import EXPEDITED, SCS_UPLOAD, expedited_data
 from drives.values import AxisSetup, DriveReading
@@ -28,20 +28,30 @@ _KEPT: Final = 64
 _COMMAND_BITS: Final = 0xE0
 
 
-class _Answers:
-    """Recorded SDO answers of one drive, as the source of `read_constants`."""
+class _ObservedDrive:
+    """One observed drive; its recorded SDO answers are the source of `read_constants`."""
 
-    def __init__(self, node_id: int, profile: DriveProfile) -> None:
-        self.profile = profile
-        self._node_id = node_id
+    def __init__(self, setup: AxisSetup, constants: Constants | None) -> None:
+        self.setup, self.profile = setup, setup.profile
+        self.plans, _ = tpdo_plans(setup.profile, setup.node_id)
+        self.frames: list[bytes | bytearray | None] = [None] * len(self.plans)
+        self.target_count: int | None = None
+        self.decoder: Decoder | None = None
+        self.scale: MotorScale | None = None
         self._answers: dict[tuple[int, int], bytes] = {}
+        if constants is not None:
+            self._set_constants(constants)
 
-    def take(self, data: bytes | bytearray) -> bool:
-        """Store the value of an SDO response; return whether the frame was one."""
-        if len(data) != 8 or data[0] & _COMMAND_BITS != SCS_UPLOAD or not data[0] & EXPEDITED:
-            return False
-        self._answers[int.from_bytes(data[1:3], "little"), data[3]] = bytes(data)
-        return True
+    def _set_constants(self, constants: Constants) -> None:
+        self.scale = motor_scale(self.profile, constants, self.setup.torque_constant_nm_per_a)
+        self.decoder = reading_decoder(self.setup, self.scale)
+
+    def learn(self, data: bytes | bytearray) -> None:
+        """Record an SDO answer, and read the constants from the recorded ones as soon as they are complete."""
+        if self.scale is None and len(data) == 8 and data[0] & _COMMAND_BITS == SCS_UPLOAD and data[0] & EXPEDITED:
+            self._answers[int.from_bytes(data[1:3], "little"), data[3]] = bytes(data)
+            with suppress(ConfigurationRefused):
+                self._set_constants(read_constants(self))
 
     def read(self, entry: Entry, /) -> int:
         """Return the recorded value of an object.
@@ -62,40 +72,8 @@ class _Answers:
 
     def refuse(self, entry: Entry, what: str, advice: str, /) -> NoReturn:
         """Raise `ConfigurationRefused` about an object."""
-        raise ConfigurationRefused(what, node=self._node_id, index=entry.index, subindex=entry.subindex, advice=advice)
-
-
-class _ObservedDrive:
-    """One observed drive."""
-
-    def __init__(self, setup: AxisSetup, constants: Constants | None) -> None:
-        self.setup = setup
-        self.answers = _Answers(setup.node_id, setup.profile)
-        self.plans, self.roles = tpdo_plans(setup.profile, setup.node_id)
-        self.frames: list[bytes | bytearray | None] = [None] * len(self.plans)
-        self.target_count: int | None = None
-        self.decoder: Decoder | None = None
-        self.scale: MotorScale | None = None
-        if constants is not None:
-            self.set_constants(constants)
-
-    def set_constants(self, constants: Constants) -> None:
-        """Set the constants and build the decoder."""
-        setup = self.setup
-        scale = self.scale = motor_scale(setup.profile, constants, setup.torque_constant_nm_per_a)
-        unpack = [plan.layout.unpack for plan in self.plans]
-        if len(unpack) == 1:
-            self.decoder = single_decoder(setup.node_id, 0, unpack[0], scale)
-        else:
-            fields = Fields("velocity" in self.roles, "current" in self.roles)
-            self.decoder = double_decoder(setup.node_id, 0, (unpack[0], unpack[1]), scale, fields)
-
-    def learn(self) -> None:
-        """Read the constants from the recorded answers, as soon as they are complete."""
-        try:
-            self.set_constants(read_constants(self.answers))
-        except ConfigurationRefused:
-            return
+        node, index, subindex = self.setup.node_id, entry.index, entry.subindex
+        raise ConfigurationRefused(what, node=node, index=index, subindex=subindex, advice=advice)
 
     def take(self, sync_index: int) -> DriveReading | None:
         """Return the reading of the last SYNC from the frames received since."""
@@ -160,8 +138,7 @@ class ListenOnlyBus:
         node_id = drive.setup.node_id
 
         def on_answer(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:
-            if drive.answers.take(data) and drive.scale is None:
-                drive.learn()
+            drive.learn(data)
 
         def on_command(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:
             if len(data) == COMMAND.size:
@@ -180,7 +157,7 @@ class ListenOnlyBus:
 
             self.bus.subscribe(plan.cob_id, on_frame)
         self.bus.subscribe(SDO_ANSWER_BASE + node_id, on_answer)
-        self.bus.subscribe(rpdo_plan(node_id).cob_id, on_command)
+        self.bus.subscribe(rpdo_plans(node_id)[0].cob_id, on_command)
         self.bus.subscribe(EMCY_BASE + node_id, on_emergency)
 
     def _on_sync(self, _can_id: int, _data: bytes | bytearray, time_s: float) -> None:

@@ -116,9 +116,10 @@ class Monitor:
         axes = len(self._exchange.drives)
         self._emcy_seen = self.emcy.count
         self._foreign_before, self._foreign_seen = dict(self._bus.foreign), self._bus.foreign_count
-        #: By axis: expected bits, SYNCs in a row without them, SYNCs in a row with the same answer, and that answer.
+        #: By axis: expected bits, SYNCs in a row without each of them, SYNCs in a row with the same answer, and that.
         self._expected = [_EXPECTED] * axes
-        self._odd, self._same = [0] * axes, [0] * axes
+        self._odd: list[dict[int, int]] = [{} for _ in range(axes)]
+        self._same = [0] * axes
         self._last: list[tuple[int, int] | None] = [None] * axes
         #: Open SDO queries of position and torque, by axis: how often it was queried, SYNCs since both were answered.
         self._queries: dict[int, tuple[Posted, Posted, int, int]] = {}
@@ -133,7 +134,7 @@ class Monitor:
     def excuse(self, axes: frozenset[int]) -> None:
         """From now on these axes (from 0) and no others may leave OPERATION ENABLED."""
         for axis in axes - self.excused:
-            self._odd[axis], self._same[axis], self._last[axis], self._expected[axis] = 0, 0, None, _EXPECTED
+            self._odd[axis], self._same[axis], self._last[axis], self._expected[axis] = {}, 0, None, _EXPECTED
             self._queries.pop(axis, None)
         self.excused = axes
 
@@ -159,11 +160,12 @@ class Monitor:
                 is_regular = False
             elif axis not in excused:
                 word, good = reading.statusword, expected[axis]
-                if word & (_WATCHED | good) != good:
-                    self._odd[axis] += 1
+                if odd := (word ^ good) & (_WATCHED | good):
                     is_regular = False
-                elif self._odd[axis]:
-                    self._odd[axis] = 0
+                if odd or self._odd[axis]:
+                    self._odd[axis] = {
+                        rule.bits: self._odd[axis].get(rule.bits, 0) + 1 for rule in _BIT_RULES if odd & rule.bits
+                    }
                 answer = (reading.position_count, reading.torque_word)
                 if answer == last[axis]:
                     same[axis] += 1
@@ -222,8 +224,7 @@ class Monitor:
 
     def _left_enabled(self, rule: Rule) -> Counts:
         """Look at the state in all responses, also in those that cannot be assigned to their SYNC."""
-        for axis, (drive, reading) in enumerate(zip(self._exchange.drives, self._readings, strict=True)):
-            word = self._exchange.unassigned[axis] if reading is None else reading.statusword
+        for axis, (drive, word) in enumerate(zip(self._exchange.drives, self._exchange.statuswords, strict=True)):
             if word is not None and axis not in self.excused and word & STATE_MASK != ENABLED_PATTERN:
                 what = f"left OPERATION ENABLED: {describe(word)}"
                 yield 1, rule.raised(what, node=drive.node_id, index=0x6041, code=word)
@@ -246,17 +247,14 @@ class Monitor:
             yield 1, rule.raised(f"sent an emergency: {each.what}", node=node, code=each.code)
 
     def _status_bits(self, rule: Rule) -> Counts:
-        """Count SYNCs in a row with unexpected bits; the error names all of them."""
-        for axis, reading in enumerate(self._readings):
-            if reading is None or axis in self.excused:
-                continue
-            odd = (reading.statusword ^ self._expected[axis]) & (_WATCHED | self._expected[axis])
-            if odd & rule.bits:
-                rules = [each for each in _BIT_RULES if each.bits & odd]
+        """Count SYNCs in a row with these bits unexpected; the error names all that are."""
+        for axis, (reading, odd) in enumerate(zip(self._readings, self._odd, strict=True)):
+            if reading is not None and rule.bits in odd and axis not in self.excused:
+                rules = [each for each in _BIT_RULES if each.bits in odd]
                 what = "; ".join(each.what for each in rules)
                 more = "; ".join(each.advice for each in rules if each is not rule)
                 node, word = reading.node_id, reading.statusword
-                yield self._odd[axis], rule.raised(what, node=node, index=0x6041, code=word, more=more)
+                yield odd[rule.bits], rule.raised(what, node=node, index=0x6041, code=word, more=more)
 
     def _stale(self, rule: Rule) -> Counts:
         """Count identical answers that SDO contradicts; PDO and SDO are independent paths.

@@ -4,63 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final, Self, TypeVar
 
 from drives import stopping
 from drives.access import ObjectAccess
 from drives.bus import SYNC_ID, Bus
-from drives.busload import LOAD_LIMIT_PERCENT, cycle_bits_worst
+from drives.busload import cycle_bits_worst
 from drives.drive import AxisSetup, Cia402Drive
 from drives.emcy import EmcyLog
 from drives.errors import ConfigurationRefused, DriveError, ForeignMaster, raise_failures
-from drives.exchange import Pacing, Timing
-from drives.heartbeat import MASTER_NODE_ID
-from drives.instrument import Instrument, InstrumentSetup
+from drives.exchange import GroupOptions, Pacing, Timing
+from drives.heartbeat import MASTER_NODE_ID, HeartbeatProducer
+from drives.instrument import Instrument
 from drives.ledger import KnownDevice, LedgerEntry, WriteLedger
 from drives.other_pdos import OtherPdo
-from drives.reactions import DRIVE_RULES
 
 Node = Cia402Drive | Instrument
 NodeKind = TypeVar("NodeKind", bound=Node)
 
 #: Lockstep: time for the simulator to process a SYNC.
 _SYNC_PAUSE_S: Final = 0.002
-
-
-@dataclass(frozen=True, slots=True)
-class GroupOptions:
-    """Times and limits of a group; the defaults suit six drives.
-
-    Attributes
-    ----------
-    ledger_path : Path, optional
-        File of the write ledger, for a restore after a crash.
-    answer_timeout_s, gap_timeout_s, window : float
-        As in `drives.exchange.Timing`.
-    unanswered_syncs : int or None
-        SYNCs in a row that an axis may leave unanswered; None = as the table of reactions says.
-    foreign_frames : int
-        SDO requests or setpoints of another master with one id; of SYNC and NMT commands one frame is enough.
-    load_limit_percent : float
-        Real time: largest planned worst-case bus load.
-    instruments : tuple of InstrumentSetup
-        Measuring devices on the same bus, read at each SYNC.
-    allow_real_drive : bool
-        A real drive may be driven over a network interface (udp_multicast, virtual, socketcand), although any computer
-        there can send frames. Lockstep stays refused.
-    """
-
-    ledger_path: Path | None = None
-    answer_timeout_s: float = 1.0
-    gap_timeout_s: float = 0.02
-    window: float = 0.9
-    unanswered_syncs: int | None = None
-    foreign_frames: int = DRIVE_RULES["foreign_master"].count
-    load_limit_percent: float = LOAD_LIMIT_PERCENT
-    instruments: tuple[InstrumentSetup, ...] = ()
-    allow_real_drive: bool = False
 
 
 class Nodes:
@@ -116,9 +79,10 @@ class Nodes:
         self.setups = tuple(setups)
         self.node_ids = tuple(ids)
         self.master_node_id = master_node_id
-        self.timing = Timing(
-            sync_period_s, pacing, self.options.answer_timeout_s, self.options.gap_timeout_s, self.options.window
-        )
+        self.timing = Timing(sync_period_s, pacing, self.options)
+        consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
+        #: Of the master.
+        self.heartbeat = HeartbeatProducer(bus, master_node_id, consumer_s)
         self.ledger = WriteLedger(self.options.ledger_path)
         self.emcy = EmcyLog({setup.node_id: setup.profile for setup in setups})
         self.drives: tuple[Cia402Drive, ...] = ()
@@ -129,14 +93,15 @@ class Nodes:
     def close(self) -> None:
         """Stop listening to the nodes, which have to be found again."""
         self.emcy.close()
+        self.heartbeat.stop()
         for node in self.all:
             node.close()
         self.drives, self.instruments, self.failures_found = (), (), []
 
-    def __enter__(self) -> Nodes:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: object, error: object, trace: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.close()
 
     @property

@@ -8,7 +8,7 @@ RPDO2, only in a run with feedforward = velocity offset; the torque offset stays
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -89,15 +89,18 @@ class Step:
     reason: str
 
 
-def rpdo_plan(node_id: int) -> PdoPlan:
-    """Return the configuration of RPDO1 of a node."""
+def rpdo_plans(node_id: int, feedforward: bool = False) -> tuple[PdoPlan, ...]:
+    """Return the RPDO configurations of a node, RPDO1 first; RPDO2 only in a run with feedforward."""
     entries = (CONTROLWORD, TARGET_POSITION, TORQUE_OFFSET)
-    return PdoPlan("RPDO1", RPDO_COMMUNICATION, RPDO_MAPPING, 0x200 + node_id, entries)
+    first = PdoPlan("RPDO1", RPDO_COMMUNICATION, RPDO_MAPPING, 0x200 + node_id, entries)
+    second = PdoPlan("RPDO2", RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x300 + node_id, (VELOCITY_OFFSET,))
+    return (first, second) if feedforward else (first,)
 
 
-def offset_plan(node_id: int) -> PdoPlan:
-    """Return the configuration of RPDO2 of a node in a run with feedforward: the velocity offset."""
-    return PdoPlan("RPDO2", RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x300 + node_id, (VELOCITY_OFFSET,))
+def tpdo_plan(number: int, node_id: int, entries: Sequence[ObjectReference]) -> PdoPlan:
+    """Return the configuration of a TPDO of a node with these objects, from number 1 on."""
+    name, cob_id = f"TPDO{number}", 0x080 + 0x100 * number + node_id
+    return PdoPlan(name, TPDO_COMMUNICATION + number - 1, TPDO_MAPPING + number - 1, cob_id, tuple(entries))
 
 
 def tpdo_plans(profile: DriveProfile, node_id: int) -> tuple[tuple[PdoPlan, ...], tuple[Role, ...]]:
@@ -126,14 +129,8 @@ def tpdo_plans(profile: DriveProfile, node_id: int) -> tuple[tuple[PdoPlan, ...]
             if _bits(frames[1]) + entry[1].size_bits <= _MAX_BITS:
                 frames[1].append(entry)
     plans = tuple(
-        PdoPlan(
-            f"TPDO{number + 1}",
-            TPDO_COMMUNICATION + number,
-            TPDO_MAPPING + number,
-            0x180 + 0x100 * number + node_id,
-            tuple(entry for _, entry in frame),
-        )
-        for number, frame in enumerate(frames)
+        tpdo_plan(number, node_id, [entry for _, entry in frame])
+        for number, frame in enumerate(frames, start=1)
         if frame
     )
     return plans, tuple(role for frame in frames for role, _ in frame)
@@ -166,24 +163,14 @@ def differences(plan: PdoPlan, read: Read) -> list[str]:
 
 
 def mapping_steps(plan: PdoPlan, cob_id_now: int) -> list[Step]:
-    """Return the writes that configure a PDO, in the order that the standard requires.
-
-    Switch it off, set the transmission type, empty the mapping, fill it, set its length, switch it on.
-    """
-    kept = cob_id_now & _NO_RTR
-    communication, mapping = plan.communication, plan.mapping
-    reason = f"{plan.name} of the SYNC exchange"
-    steps = [
-        Step(communication, 1, "u32", plan.cob_id | kept | INVALID, reason),
-        Step(communication, 2, "u8", EVERY_SYNC, reason),
-        Step(mapping, 0, "u8", 0, reason),
-    ]
-    steps += [Step(mapping, number, "u32", entry.mapping, reason) for number, entry in enumerate(plan.entries, start=1)]
-    steps += [
-        Step(mapping, 0, "u8", len(plan.entries), reason),
-        Step(communication, 1, "u32", plan.cob_id | kept, reason),
-    ]
-    return steps
+    """Return the writes that configure a PDO, in the order of `ordered_steps`."""
+    values = {
+        (plan.communication, 1): ("u32", plan.cob_id | cob_id_now & _NO_RTR),
+        (plan.communication, 2): ("u8", EVERY_SYNC),
+        (plan.mapping, 0): ("u8", len(plan.entries)),
+    }
+    values |= {(plan.mapping, number): ("u32", each.mapping) for number, each in enumerate(plan.entries, start=1)}
+    return ordered_steps(values, f"{plan.name} of the SYNC exchange")
 
 
 def restore_steps(old: dict[tuple[int, int], tuple[str, int]]) -> list[Step]:

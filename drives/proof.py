@@ -17,16 +17,13 @@ from typing import Final, Protocol
 
 from drives.cia402 import (
     AT_REST,
-    DISABLE_OPERATION,
-    DISABLE_VOLTAGE,
     ENABLE_OPERATION,
-    QUICK_STOP,
-    SHUTDOWN,
-    SWITCH_ON,
     NoRoute,
     State,
     decode_state,
+    disabling_controlword,
     next_controlword,
+    stopping_controlword,
 )
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
@@ -35,18 +32,15 @@ from drives.exchange import SyncExchange
 from drives.objects import OBJECTS
 from drives.sdo import ONCE
 from drives.standstill import Standstill
+from drives.stopping import PATIENCE_S, RAMP_S
 from drives.values import DriveReading
 
-#: How long after the stated time the drives are watched before the master stops them itself.
-PATIENCE_S: Final = 0.2
-#: Longest stop ramp that is waited for.
-_RAMP_S: Final = 2.0
 #: SYNCs without an answer after which an axis is asked by SDO: a drive may leave NMT state OPERATIONAL (0x1029).
 _SILENT: Final = 2
 #: SYNCs after which a drive that was commanded to hold its axis again gets the position that it has reached meanwhile.
 _ENABLE_SYNCS: Final = 3
-#: Controlwords from SWITCH ON DISABLED to OPERATION ENABLED.
-_LADDER: Final = (SHUTDOWN, SWITCH_ON, ENABLE_OPERATION)
+#: States from which one controlword each leads to OPERATION ENABLED.
+_LADDER: Final = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
 
 
 class DriveTest(Protocol):
@@ -158,12 +152,6 @@ class _Axis:
         except DriveError:
             return
 
-    def word(self) -> int:
-        """Return the controlword of the drive: no new energising, no interruption of its ramp."""
-        if self.left_s is None:
-            return ENABLE_OPERATION
-        return QUICK_STOP if self.state is State.QUICK_STOP_ACTIVE else DISABLE_VOLTAGE
-
     def trace(self) -> StopTrace:
         """Return the result of this drive."""
         rad = self.drive.scale.count_rad
@@ -217,7 +205,10 @@ class StopTest:
 
     def controlwords(self) -> list[int]:
         """As `DriveTest.controlwords`."""
-        return [QUICK_STOP if self._stops(axis) else axis.word() for axis in self._axes]
+        return [
+            ENABLE_OPERATION if axis.left_s is None and not self._stops(axis) else stopping_controlword(axis.state)
+            for axis in self._axes
+        ]
 
     def held_count(self, axis: int) -> int | None:
         """As `DriveTest.held_count`: an axis that has left, or is commanded to stop, keeps its last target."""
@@ -252,7 +243,7 @@ class StopTest:
     def _over(self, passed_s: float) -> bool:
         """Return whether the time limit has passed."""
         longest_s = max(axis.stated_s for axis in self._axes) + PATIENCE_S
-        return passed_s >= longest_s + _RAMP_S or (
+        return passed_s >= longest_s + RAMP_S or (
             passed_s > longest_s and any(axis.left_s is None for axis in self._axes)
         )
 
@@ -308,7 +299,7 @@ class QuickStopTest(StopTest):
         if unmoved or max(self._exchange.unanswered) > _SILENT:
             self._exchange.end_heartbeat()
             return True
-        return passed_s >= _RAMP_S + PATIENCE_S
+        return passed_s >= RAMP_S + PATIENCE_S
 
 
 class BrakeTest:
@@ -380,27 +371,23 @@ class BrakeTest:
         controlwords = [ENABLE_OPERATION] * len(self._exchange.drives)
         if not self.held:
             state = self._exchange.states[self._axis] or State.UNDEFINED
-            controlwords[self._axis] = self._enable_word(state) if self._enables else self._disable_word(state)
+            closes = self._closing is None or self.released_syncs <= self._closing
+            controlwords[self._axis] = (
+                self._enable_word(state) if self._enables else disabling_controlword(state, brake_closes=closes)
+            )
         return controlwords
 
-    def _disable_word(self, state: State) -> int:
-        if state is State.OPERATION_ENABLED:
-            return DISABLE_OPERATION
-        if state is State.SWITCHED_ON and (self._closing is None or self.released_syncs <= self._closing):
-            return DISABLE_OPERATION
-        return DISABLE_VOLTAGE
-
     def _enable_word(self, state: State) -> int:
+        if self.beyond_limit and self._enable_syncs < _ENABLE_SYNCS and state in _LADDER:
+            # it falls: the next word goes out before the state that the last one leads to was read
+            self._rung = max(_LADDER.index(state), min(self._rung + 1, len(_LADDER) - 1))
+            state = _LADDER[self._rung]
         try:
             word = next_controlword(state, State.OPERATION_ENABLED)
         except NoRoute as error:
             what = f"cannot be enabled again after the brake test: {error}"
             advice = "use the emergency stop if the axis falls; then check the drive and its brake"
             raise DriveFault(what, node=self._drive.node_id, index=0x6041, advice=advice) from None
-        if self.beyond_limit and self._enable_syncs < _ENABLE_SYNCS:
-            # it falls: the next word goes out before the state that the last one leads to was read
-            self._rung = max(_LADDER.index(word), min(self._rung + 1, len(_LADDER) - 1))
-            word = _LADDER[self._rung]
         self._enable_syncs += word == ENABLE_OPERATION
         return word
 

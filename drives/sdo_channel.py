@@ -12,6 +12,7 @@ import math
 import struct
 import threading
 import time
+from bisect import bisect_left
 from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Final
@@ -19,7 +20,7 @@ from typing import Final
 from drives.abort import TIMED_OUT, abort_error
 from drives.bus import SDO_ANSWER_BASE, SDO_REQUEST_BASE, Bus
 from drives.errors import DriveError, SdoProtocolError, SdoTimeout
-from drives.latency import LatencyHistogram, SdoStatistics
+from drives.latency import LATENCY_EDGES_S, SdoStatistics
 from drives.objects import SIZE_BYTES, decode_integer
 
 HEAD: Final = struct.Struct("<BHB")
@@ -121,7 +122,8 @@ class SdoChannel:
         self._strange = 0
         self._questions = 0
         self._counts: Counter[str] = Counter()
-        self._latency = LatencyHistogram()
+        self._latency_bins = [0] * (len(LATENCY_EDGES_S) + 1)
+        self._latency_sum_s = self._latency_max_s = 0.0
         bus.subscribe(SDO_ANSWER_BASE + node_id, self._on_answer)
 
     def close(self) -> None:
@@ -131,12 +133,13 @@ class SdoChannel:
     @property
     def statistics(self) -> SdoStatistics:
         """Return the latencies and the numbers of failed requests so far."""
+        count = sum(self._latency_bins)
         return SdoStatistics(
             node_id=self.node_id,
-            count=self._latency.count,
-            mean_s=self._latency.mean_s,
-            max_s=self._latency.max_s,
-            histogram=tuple(self._latency.bins),
+            count=count,
+            mean_s=self._latency_sum_s / max(count, 1),
+            max_s=self._latency_max_s,
+            histogram=tuple(self._latency_bins),
             timeouts=self._counts["timeouts"],
             late=self._counts["late"],
             foreign=self._counts["foreign"],
@@ -218,7 +221,10 @@ class SdoChannel:
             self._bus.send(SDO_REQUEST_BASE + self.node_id, request)
             while (answer := self._next_answer(start + timeout_s)) is not None:
                 if self._is_mine(answer, specifier, echo, address):
-                    self._latency.add(time.monotonic() - start)
+                    latency_s = time.monotonic() - start
+                    self._latency_bins[bisect_left(LATENCY_EDGES_S, latency_s)] += 1
+                    self._latency_sum_s += latency_s
+                    self._latency_max_s = max(self._latency_max_s, latency_s)
                     return answer
         finally:
             self._waiting = False

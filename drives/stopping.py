@@ -17,17 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from drives.cia402 import (
-    AT_REST,
-    DISABLE_OPERATION,
-    DISABLE_VOLTAGE,
-    QUICK_STOP,
-    NoRoute,
-    State,
-    decode_state,
-    next_controlword,
-    stopping_controlword,
-)
+from drives.cia402 import AT_REST, State, decode_state, disabling_controlword, stopping_controlword
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
 from drives.errors import DriveError, TransitionTimeout, while_stopping
@@ -40,14 +30,14 @@ from drives.standstill import Standstill
 #: SYNCs without an answer after which an axis is queried by SDO instead.
 _SILENT: Final = 3
 #: Longest quick stop ramp that is waited for.
-_RAMP_S: Final = 2.0
+RAMP_S: Final = 2.0
 #: An axis that still slows down after that is waited for: longest time, and time over which its movement is compared.
 _SLOWING_S: Final = 10.0
 _SLOWING_STEP_S: Final = 0.25
 #: Movement in that time, as a share of that in the time before, from which an axis does not slow down.
 _SLOWING_SHARE: Final = 0.99
 #: What an axis is given beyond the time that a step should take, until the step counts as not confirmed.
-_PATIENCE_S: Final = 0.2
+PATIENCE_S: Final = 0.2
 #: Time for which positions are monitored after the brakes have closed; by SYNCs, and at most by wall clock.
 _DROP_WATCH_S: Final = 0.3
 _DROP_WATCH_MAX_S: Final = 1.0
@@ -121,38 +111,6 @@ class _BrakeDrop:
         return tuple(count * abs(drive.scale.count_rad) for drive, count in zip(drives, self._most_count, strict=True))
 
 
-def disabling_controlword(state: State) -> int:
-    """Return the controlword towards SWITCH ON DISABLED; in a fault one without effect."""
-    try:
-        return next_controlword(state, State.SWITCH_ON_DISABLED)
-    except NoRoute:
-        return DISABLE_VOLTAGE
-
-
-class _DisableSequence:
-    """Controlwords to SWITCH ON DISABLED, once the brake has had its time to close.
-
-    Until then an axis stays in SWITCHED ON or QUICK STOP ACTIVE: without the voltage a drive cannot hold the axis.
-
-    Parameters
-    ----------
-    exchange : SyncExchange
-    """
-
-    def __init__(self, exchange: SyncExchange) -> None:
-        period_s = exchange.timing.period_s
-        #: Longest time that a brake of these axes takes to close; 0 where no brake was opened.
-        self.closing_s = max(map(_closing_s, exchange.drives)) if exchange.powered else 0.0
-        self._left = [math.ceil(min(_closing_s(drive), self.closing_s) / period_s) for drive in exchange.drives]
-
-    def word(self, axis: int, state: State) -> int:
-        """Return the next controlword of an axis; one call per SYNC."""
-        if state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE) and self._left[axis] > 0:
-            self._left[axis] -= 1
-            return _braking_word(axis, state)
-        return disabling_controlword(state)
-
-
 def _closing_s(drive: Cia402Drive) -> float:
     return drive.setup.profile.state_machine.brake_closing_s
 
@@ -169,13 +127,10 @@ def quick_stop(exchange: SyncExchange) -> list[DriveError]:
     def done(axis: int) -> bool:
         return exchange.states[axis] in _STOPPED and exchange.is_at_rest(axis)
 
-    step = _Step(_braking_word, False, done, _PATIENCE_S, _RAMP_S + _PATIENCE_S, _STOPPED)
+    step = _Step(
+        lambda _axis, state: stopping_controlword(state), False, done, PATIENCE_S, RAMP_S + PATIENCE_S, _STOPPED
+    )
     return _run(exchange, step, lambda epoch: None)
-
-
-def _braking_word(_axis: int, state: State) -> int:
-    """Return the controlword of a quick stop; a brake that is closing is given its time by `disable`."""
-    return DISABLE_OPERATION if state is State.SWITCHED_ON else stopping_controlword(state)
 
 
 def _wait_while_slowing(exchange: SyncExchange) -> list[DriveError]:
@@ -192,7 +147,7 @@ def _wait_while_slowing(exchange: SyncExchange) -> list[DriveError]:
 
     if all(map(done, range(len(exchange.drives)))):
         return []
-    step = _Step(_braking_word, False, done, _PATIENCE_S, _SLOWING_S, _STOPPED)
+    step = _Step(lambda _axis, state: stopping_controlword(state), False, done, PATIENCE_S, _SLOWING_S, _STOPPED)
     return _run(exchange, step, lambda _epoch: history.append(list(exchange.position_count)))
 
 
@@ -211,10 +166,18 @@ def disable(exchange: SyncExchange) -> list[DriveError]:
     """
     failures = quick_stop(exchange) if _moves(exchange) else []
     _add_new(failures, _wait_while_slowing(exchange))
-    brake_drop, sequence = _BrakeDrop(exchange), _DisableSequence(exchange)
-    leave_s = _PATIENCE_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in exchange.drives)
-    limit_s = leave_s + sequence.closing_s
-    step = _Step(sequence.word, True, lambda axis: exchange.states[axis] in _DOWN, leave_s, limit_s, _DOWN)
+    brake_drop, drives = _BrakeDrop(exchange), exchange.drives
+    closing_s = [_closing_s(drive) if exchange.powered else 0.0 for drive in drives]
+    syncs_left = [math.ceil(seconds / exchange.timing.period_s) for seconds in closing_s]
+
+    def word(axis: int, state: State) -> int:
+        closes = state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE) and syncs_left[axis] > 0
+        syncs_left[axis] -= closes
+        return disabling_controlword(state, brake_closes=closes)
+
+    leave_s = PATIENCE_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in drives)
+    limit_s = leave_s + max(closing_s)
+    step = _Step(word, True, lambda axis: exchange.states[axis] in _DOWN, leave_s, limit_s, _DOWN)
     _add_new(failures, _run(exchange, step, brake_drop.note))
     if exchange.powered:
         exchange.powered = False
@@ -256,8 +219,7 @@ def _cycle(exchange: SyncExchange, word: Callable[[int, State], int]) -> Epoch:
     """Run one SYNC of the stop sequence: every axis keeps its last target."""
     for drive in exchange.drives:
         drive.hold(drive.target_count)
-    states = enumerate(exchange.states)
-    return exchange.cycle([DISABLE_VOLTAGE if state is None else word(axis, state) for axis, state in states])
+    return exchange.cycle([word(axis, state or State.UNDEFINED) for axis, state in enumerate(exchange.states)])
 
 
 def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> list[DriveError]:
@@ -298,7 +260,7 @@ def _by_sdo(exchange: SyncExchange, axis: int, step: _Step, without_sync: bool) 
             state = _state(drive)
             if state in step.reached:
                 return [] if _seen_at_rest(exchange, axis, step, without_sync) else [_still_moving(drive)]
-            _send(drive, step.word(axis, state))
+            drive.send_controlword(step.word(axis, state))
         return [_stays(drive)]
     except Exception as error:
         return [_unknown(while_stopping(error, drive.node_id))]
@@ -334,13 +296,13 @@ def _lead_down(drive: Cia402Drive, turn_count: float | None, pause: Callable[[fl
             return
         if state in _HELD:
             if state is State.OPERATION_ENABLED:
-                _send(drive, QUICK_STOP)
+                drive.send_controlword(stopping_controlword(state))
             if turn_count is not None and not _wait_for_rest(drive, turn_count, pause):
                 raise _still_moving(drive, "; it was not disabled")
             state = _state(drive)
         if state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE):
             pause(_closing_s(drive))
-        _send(drive, disabling_controlword(state))
+        drive.send_controlword(disabling_controlword(state))
     if _state(drive) not in _DOWN:
         raise _stays(drive)
 
@@ -379,11 +341,6 @@ def take_down(drive: Cia402Drive, pause: Callable[[float], None]) -> str:
     return f"{text} at {after} counts, read from the drive"
 
 
-def _send(drive: Cia402Drive, word: int) -> None:
-    control = OBJECTS["controlword"]
-    drive.access.sdo.write(control.index, control.subindex, control.type, word)
-
-
 def _state(drive: Cia402Drive) -> State:
     return decode_state(drive.access.read(OBJECTS["statusword"], ONCE))
 
@@ -403,7 +360,7 @@ def _wait_for_rest(drive: Cia402Drive, turn_count: float, pause: Callable[[float
     """
     position, velocity = drive.setup.profile.position.object, drive.setup.profile.velocity
     unit_rad_s = None if velocity is None else velocity.rad_s(turn_count)
-    standstill, until_s, time_s = Standstill(turn_count), time.monotonic() + _RAMP_S, 0.0
+    standstill, until_s, time_s = Standstill(turn_count), time.monotonic() + RAMP_S, 0.0
     while time.monotonic() < until_s:
         standstill.see(time_s, drive.access.read(position, ONCE))
         turns = None if velocity is None else drive.access.read_readable(velocity.object, ONCE)
@@ -421,5 +378,5 @@ def _stays(drive: Cia402Drive) -> TransitionTimeout:
 
 def _still_moving(drive: Cia402Drive, and_so: str = "") -> DriveError:
     advice = "use the emergency stop; then check its quick stop ramp (0x605A, 0x6085) and its brake"
-    what = f"still moves {_RAMP_S + _PATIENCE_S:.1f} s after the stop command{and_so}"
+    what = f"still moves {RAMP_S + PATIENCE_S:.1f} s after the stop command{and_so}"
     return TransitionTimeout(what, node=drive.node_id, index=0x6064, advice=advice)

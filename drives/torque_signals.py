@@ -15,8 +15,8 @@ from drives.bus import Bus
 from drives.drive import Cia402Drive
 from drives.errors import DriveError
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.objects import OBJECTS, TPDO_COMMUNICATION, TPDO_MAPPING
-from drives.pdo import INVALID, PdoPlan
+from drives.objects import OBJECTS
+from drives.pdo import INVALID, PdoPlan, tpdo_plan
 from drives.profile import DriveProfile, ObjectReference
 
 _DEMAND: Final = ObjectReference(index=OBJECTS["torque_demand"].index, type="i16")
@@ -67,7 +67,7 @@ class TorqueSignalReader:
         for drive, own in zip(self._drives, self.signals, strict=True):
             try:
                 entries = self._entries(drive)
-                plan = torque_signal_plan(drive.node_id, [reference for _, reference in entries])
+                plan = tpdo_plan(3, drive.node_id, [reference for _, reference in entries])
                 send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, drive.node_id)
                 drive.access.map_pdo(plan)
             except DriveError as error:
@@ -117,11 +117,6 @@ class TorqueSignalReader:
 def current_object(profile: DriveProfile) -> ObjectReference:
     """Return the current object of a drive: the one of its profile, else 0x6078."""
     return _CURRENT if profile.current is None else profile.current.object
-
-
-def torque_signal_plan(node_id: int, entries: Sequence[ObjectReference]) -> PdoPlan:
-    """Return the configuration of TPDO3 of a node with these objects."""
-    return PdoPlan("TPDO3", TPDO_COMMUNICATION + 2, TPDO_MAPPING + 2, 0x380 + node_id, tuple(entries))
 
 
 def _storing_handler(

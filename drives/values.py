@@ -124,17 +124,17 @@ class InstrumentReading(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Identity of the device at a node id; None = the drive lacks the object."""
+    """Identity of the device at a node id; None = the device lacks the object, or it was not read."""
 
     node_id: int
-    device_type: int | None
-    vendor_id: int | None
-    product_code: int | None
-    revision: int | None
-    serial_number: int | None
-    name: str | None
-    hardware_version: str | None
-    software_version: str | None
+    device_type: int | None = None
+    vendor_id: int | None = None
+    product_code: int | None = None
+    revision: int | None = None
+    serial_number: int | None = None
+    name: str | None = None
+    hardware_version: str | None = None
+    software_version: str | None = None
 
     @property
     def is_drive(self) -> bool:

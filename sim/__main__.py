@@ -26,7 +26,12 @@ def main() -> None:
 @click.option("--payload", type=click.Path(path_type=Path), help="Loads: [[load]] label, mass_kg, com_m.")
 @click.option("--undeclared", type=click.Path(path_type=Path), help="Effects: [[effect]] name, joints, parameters.")
 @click.option("--seed", type=click.IntRange(min=0), help="Draw undeclared effects from this seed.")
-@click.option("--fault", type=click.Path(path_type=Path), help="Fault scenario: [[fault]] kind, node, at_sync.")
+@click.option(
+    "--fault",
+    multiple=True,
+    metavar="NAME",
+    help="Fault: [NODE:]NAME, or a file of [[fault]] kind, node, at_sync; repeatable.",
+)
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the truth here at start.")
 @click.option("--pacing", type=click.Choice(PACINGS), help="Instead of the cell's: by SYNC, or in real time.")
 @click.option(
@@ -34,7 +39,6 @@ def main() -> None:
     is_flag=True,
     help="In real time: apply each target on arrival instead of at the drive's own clock tick.",
 )
-@click.option("--defect", multiple=True, metavar="NODE:NAME", help="Defect of a drive; repeatable.")
 @click.option("--timing", type=click.Path(path_type=Path), help="Write frames and motion of the drives here.")
 def serve(
     cell: Path,
@@ -42,11 +46,10 @@ def serve(
     payload: Path | None,
     undeclared: Path | None,
     seed: int | None,
-    fault: Path | None,
+    fault: tuple[str, ...],
     truth: Path | None,
     pacing: str | None,
     unbuffered: bool,
-    defect: tuple[str, ...],
     timing: Path | None,
 ) -> None:
     """Serve the drives of CELL until Ctrl-C. On stdin: payload LABEL | none, grip open | closed, quit."""
@@ -56,7 +59,7 @@ def serve(
 
     if undeclared is not None and seed is not None:
         raise click.UsageError("--undeclared and --seed exclude each other.")
-    options = ServeOptions(bus, payload, undeclared, seed, fault, truth, pacing, unbuffered, defect, timing)
+    options = ServeOptions(bus, payload, undeclared, seed, fault, truth, pacing, unbuffered, timing)
     try:
         run(cell, options, lambda line: print(line, flush=True))
     except SimulationBusError as error:

@@ -1,256 +1,433 @@
-"""Fault injection in a simulated drive: each fault changes the drive's state, its quirks or its reported values."""
+"""Faults inside a simulated drive: what real drives do against CiA 301, CiA 402 or a manual, or when they fail.
+
+Each function is the hook of a kind in `sim.faults.KINDS`. It commands the drive, or replaces a method or an object of
+it (`FakeDrive.alter`, `FakeDrive.alter_object`), so that a drive without faults runs no line of this module. What is
+replaced persists over an NMT reset, as properties of firmware and hardware do, until `FakeDrive.repair`.
+"""
 
 from __future__ import annotations
 
 import math
+import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+
+import can
 
 from sim.fake_drive import FakeDrive
-from sim.faults import Fault
-from sim.node import EMCY_OFF, PRE_OPERATIONAL, STOPPED
-from sim.objects import VALUE_RANGE, Address
-from sim.server import BusServer
+from sim.fault import Fault
+from sim.node import EMCY_OFF, PRE_OPERATIONAL
+from sim.objects import NO_DATA, VALUE_RANGE, Address
+from sim.pdo import DISABLED, Pdo
 from sim.states import PdsState
 
-ENCODER_FAULT = 0x7305
-#: Bits in which the serial numbers of a drive and of its replacement differ.
-OTHER_SERIAL = 0x0100_0000
-EMCY_SAFE_TORQUE_OFF = 0x5442
+DriveHook = Callable[[FakeDrive, Fault], None]
+
+EMCY_COMMUNICATION, EMCY_SAFE_TORQUE_OFF = 0x8100, 0x5442
+REGISTER_COMMUNICATION = 0x11
+#: Bits in which the serial numbers and the vendors of a drive and of its replacement differ.
+OTHER_SERIAL, OTHER_VENDOR = 0x0100_0000, 0x00FF_0001
 HUNTING_RAD, HUNTING_HZ = 0.004, 1.5
-#: Values that a fault without its own value takes.
 STRICT_INHIBIT_100US = 100
-START_REFUSED_S = 0.5
-SYNC_PERIOD_US = 1_000
 OBJECTS_WITHOUT_DATA = frozenset({0x6502, 0x1029})
-FLOOD_HZ = 5_000.0
-#: Offset to the node id in the EMCY identifier of `foreign_emcy_id`.
+#: Offset to the node id in the EMCY identifier of `foreign_emcy`.
 EMCY_NODE_OFFSET = 0x20
-DROPS_AFTER_SYNCS = 3
-BRAKE_SLIP_RAD_S = 0.02
-BRAKE_FALL_RAD_S2 = 5.0
+#: A SYNC period that differs from 0x1006 by this share is wrong; this number of them in a row ends OPERATIONAL.
+SYNC_PERIOD_TOLERANCE, MAX_WRONG_PERIODS = 0.5, 3
+#: Number of the TPDO that floods the bus (0 = TPDO1), and the longest pause after which it does not catch up [s].
+FLOODING_TPDO, MAX_FLOOD_BACKLOG_S = 2, 0.1
+#: Delay of a TPDO behind its SYNC, and of the reaction to a controlword [s]; age of the torque word, in SYNCs.
+TPDO_DELAY_S, CONTROLWORD_DELAY_S, TORQUE_AGE_SYNCS = 0.008, 0.04, 3
+#: Time that a slow brake takes to close after the motor is off [s].
+BRAKE_CLOSING_S = 0.08
+CONTROLWORD, DIGITAL_INPUTS, TORQUE_ALLOWED, REFERENCED = (0x6040, 0), (0x60FD, 0), 24, 25
 
 
-def act(server: BusServer, fault: Fault) -> None:
-    """Inject one fault into every drive that it concerns."""
-    change = ACTIONS.get(fault.kind)
-    if change is None:
-        return
-    for drive in server.drives:
-        if fault.concerns(drive.node_id):
-            change(drive, fault)
+# ------------------------------------------------------------------------------------------------- power, NMT, states
 
 
-def _killed(drive: FakeDrive, _fault: Fault) -> None:
-    drive.node.unpowered = True
+def lose_power(drive: FakeDrive, _fault: Fault) -> None:
+    """The drive loses power: it sends and answers nothing, and its brake closes."""
+    drive.alter(drive.node, "unpowered", True)
     drive.axis.lock()
     drive.automaton.power_up()
 
 
-def _reboot(keeps: Callable[[int], bool]) -> Callable[[FakeDrive, Fault], None]:
-    def act_on(drive: FakeDrive, _fault: Fault) -> None:
+def restart(keeps: Callable[[int], bool]) -> DriveHook:
+    """Return a hook that restarts the drive with its brake applied; it keeps objects by their index."""
+
+    def hook(drive: FakeDrive, _fault: Fault) -> None:
         drive.reset(keeps)
         drive.node.boot()
 
-    return act_on
+    return hook
 
 
-def _leaves_operational(state: int) -> Callable[[FakeDrive, Fault], None]:
+def enter(state: int) -> DriveHook:
+    """Return a hook that changes the NMT state."""
     return lambda drive, _fault: drive.node.enter(state)
 
 
-def _faulted(drive: FakeDrive, fault: Fault) -> None:
-    drive.raise_fault(fault.code or ENCODER_FAULT)
+def raise_fault(drive: FakeDrive, fault: Fault) -> None:
+    """The drive goes to FAULT."""
+    drive.raise_fault(fault.code)
 
 
-def _quick_stop(drive: FakeDrive, _fault: Fault) -> None:
+def quick_stop(drive: FakeDrive, _fault: Fault) -> None:
+    """The drive makes a quick stop without a command."""
     before = drive.automaton.state
     drive.automaton.quick_stop()
     drive.motion.state_changed(before)
 
 
-def _torque_off(drive: FakeDrive, _fault: Fault) -> None:
+def torque_off(drive: FakeDrive, _fault: Fault) -> None:
+    """The safety circuit switches the torque off once."""
     before = drive.automaton.state
     drive.node.emergency(EMCY_SAFE_TORQUE_OFF, 0x81)
     drive.automaton.disable_voltage()
     drive.motion.state_changed(before)
 
 
-def _brake(drive: FakeDrive, _fault: Fault) -> None:
-    drive.motion.brake_stuck = True
-    drive.axis.lock()
+def open_safety_circuit(drive: FakeDrive, fault: Fault) -> None:
+    """The safety circuit stays open: no controlword leads out of SWITCH ON DISABLED."""
+    _without_input(drive, TORQUE_ALLOWED)
+    faults = (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE)
+    _in_place(drive, lambda state: state if state in faults else PdsState.SWITCH_ON_DISABLED)
+    if drive.automaton.energised:
+        torque_off(drive, fault)
+    elif drive.automaton.state is not PdsState.FAULT:
+        drive.automaton.state = PdsState.SWITCH_ON_DISABLED
 
 
-def _hunting(drive: FakeDrive, _fault: Fault) -> None:
-    drive.motion.wobble = (HUNTING_RAD, HUNTING_HZ)
+def lose_reference(drive: FakeDrive, _fault: Fault) -> None:
+    """The encoder has lost its reference."""
+    _without_input(drive, REFERENCED)
 
 
-def _replace_torque(drive: FakeDrive, make: Callable[[Callable[[], int]], Callable[[], int]]) -> None:
-    word = drive.units.torque
-    entry = drive.store.entries[word.address]
-    drive.store.entries[word.address] = replace(entry, get=make(drive.torque_word(word)))
-    for pdo in drive.tpdos:
-        pdo.refresh()
+def _without_input(drive: FakeDrive, bit: int) -> None:
+    shown = drive.store.entries[DIGITAL_INPUTS].get
+    drive.alter_object(DIGITAL_INPUTS, get=lambda: int(shown()) & ~(1 << bit))
 
 
-def _demand(drive: FakeDrive, _fault: Fault) -> None:
-    _replace_torque(drive, lambda _get: drive.demand_word)
+def never_enable(drive: FakeDrive, _fault: Fault) -> None:
+    """The drive stays in SWITCHED ON when it is enabled."""
+    _in_place(drive, lambda state: PdsState.SWITCHED_ON if state is PdsState.OPERATION_ENABLED else state)
 
 
-def _unsigned(drive: FakeDrive, _fault: Fault) -> None:
-    _replace_torque(drive, lambda get: lambda: abs(get()))
+def _in_place(drive: FakeDrive, other: Callable[[PdsState], PdsState]) -> None:
+    """Let each controlword lead to another state than it does in a good drive."""
+    automaton, command = drive.automaton, drive.automaton.command
+
+    def prevented(word: int) -> None:
+        command(word)
+        automaton.state = other(automaton.state)
+
+    drive.alter(automaton, "command", prevented)
 
 
-def _ignore_heartbeat(drive: FakeDrive, _fault: Fault) -> None:
-    drive.node.on_heartbeat_lost = lambda _node: None
+def drop_out(drive: FakeDrive, fault: Fault) -> None:
+    """The drive falls back to SWITCHED ON a few SYNCs after each enabling."""
+    apply_setpoints = drive.apply_setpoints
+    enabled_syncs = 0
+
+    def drops() -> None:
+        nonlocal enabled_syncs
+        apply_setpoints()
+        enabled_syncs = enabled_syncs + 1 if drive.automaton.state is PdsState.OPERATION_ENABLED else 0
+        if enabled_syncs > fault.count:
+            drive.automaton.state = PdsState.SWITCHED_ON
+            drive.motion.state_changed(PdsState.SWITCHED_ON)
+
+    drive.alter(drive, "apply_setpoints", drops)
 
 
-def _scaled_rating(factor: int) -> Callable[[FakeDrive, Fault], None]:
-    def change(drive: FakeDrive, _fault: Fault) -> None:
+def refuse_start(drive: FakeDrive, fault: Fault) -> None:
+    """A communication error begins at the first START and lasts `delay_s`; until then an EMCY refuses START."""
+    node, first_s, erroneous = drive.node, math.nan, False
+
+    def may_start() -> bool:
+        nonlocal first_s, erroneous
+        now = time.monotonic()
+        first_s = now if math.isnan(first_s) else first_s
+        before, erroneous = erroneous, now - first_s < fault.delay_s
+        if erroneous:
+            node.emergency(EMCY_COMMUNICATION, node.error_register | REGISTER_COMMUNICATION)
+        elif before:
+            node.emergency(0, 0)
+        return not erroneous
+
+    drive.alter(node, "may_start", may_start)
+
+
+def ignore_heartbeat(drive: FakeDrive, _fault: Fault) -> None:
+    """The drive runs on without the master's heartbeat."""
+    drive.alter(drive.node, "on_heartbeat_lost", lambda _node: None)
+
+
+def send_no_heartbeat(drive: FakeDrive, _fault: Fault) -> None:
+    """The drive sends no heartbeat, whatever 0x1017 holds."""
+    drive.alter(drive.node, "keep_time", lambda _simulated_s, _wall_s: None)
+
+
+# ------------------------------------------------------------------------------------------------------------ objects
+
+
+def show(address: Address, value: Callable[[FakeDrive, Fault], int]) -> DriveHook:
+    """Return a hook that gives an object another value at power-up."""
+    return lambda drive, fault: _shows(drive, address, value(drive, fault))
+
+
+def _shows(drive: FakeDrive, address: Address, value: int) -> None:
+    drive.power_up_values[address] = drive.store.values[address] = value
+
+
+def scale_rating(factor: int) -> DriveHook:
+    """Return a hook that shows the rated current and torque in another unit."""
+
+    def hook(drive: FakeDrive, _fault: Fault) -> None:
         for address in ((0x6075, 0), (0x6076, 0)):
-            drive.quirks.values[address] = min(drive.store.number(address) * factor, 0xFFFFFFFF)
-        drive.take_quirks()
+            _shows(drive, address, min(drive.store.number(address) * factor, 0xFFFFFFFF))
 
-    return change
-
-
-def _other_make(drive: FakeDrive, fault: Fault) -> None:
-    _shows(drive, (0x1018, 1), fault.code or drive.store.number((0x1018, 1)) ^ 0x00FF0001)
+    return hook
 
 
-def _exchanged(drive: FakeDrive, fault: Fault) -> None:
+other_vendor = show((0x1018, 1), lambda drive, fault: fault.code or drive.store.number((0x1018, 1)) ^ OTHER_VENDOR)
+foreign_emcy = show((0x1014, 0), lambda drive, fault: fault.code or 0x80 + (drive.node_id + EMCY_NODE_OFFSET) % 128)
+no_emcy = show((0x1014, 0), lambda drive, _fault: EMCY_OFF | 0x80 + drive.node_id)
+
+
+def exchange(drive: FakeDrive, fault: Fault) -> None:
     """Replace the drive by another of the same product: serial number and torque limit differ, settings are lost."""
     limit = fault.code or drive.store.number((0x6072, 0)) * 9 // 10
     drive.reset()
     _shows(drive, (0x1018, 4), drive.store.number((0x1018, 4)) ^ OTHER_SERIAL)
     _shows(drive, (0x6072, 0), limit)
-    drive.take_max_torque(drive.store.number((0x6072, 0)))
+    drive.take_max_torque(limit)
     drive.node.boot()
 
 
-def _write_ignored(drive: FakeDrive, fault: Fault) -> None:
-    index = fault.index or 0x6007
-    for address, entry in drive.store.entries.items():
-        if address[0] == index and entry.set is not None:
-            drive.store.entries[address] = replace(entry, set=lambda _value: None)
+def ignore_writes(drive: FakeDrive, fault: Fault) -> None:
+    """A write of an object is confirmed without effect."""
+    for address, entry in list(drive.store.entries.items()):
+        if address[0] == fault.index and entry.set is not None:
+            drive.alter_object(address, set=lambda _value: None)
 
 
-def _shows(drive: FakeDrive, address: Address, value: int) -> None:
-    drive.quirks.values[address] = value
-    drive.take_quirks()
+def have_no_data(drive: FakeDrive, fault: Fault) -> None:
+    """Requests of optional objects are aborted with "no data available"."""
+    without, refuse = {fault.index} if fault.index else OBJECTS_WITHOUT_DATA, drive.node.sdo.refuse
+    drive.alter(
+        drive.node.sdo, "refuse", lambda index, subindex: NO_DATA if index in without else refuse(index, subindex)
+    )
 
 
-def _strict_inhibit(drive: FakeDrive, _fault: Fault) -> None:
-    drive.quirks.inhibit_abort, drive.quirks.inhibit_100us = VALUE_RANGE, STRICT_INHIBIT_100US
-    drive.take_quirks()
-    drive.preset_pdos()
-
-
-def _start_refused(drive: FakeDrive, fault: Fault) -> None:
-    drive.quirks.start_refused_s = fault.delay_s or START_REFUSED_S
-
-
-def _start_never(drive: FakeDrive, _fault: Fault) -> None:
-    drive.quirks.start_refused_s = math.inf
-
-
-def _cycle_period(drive: FakeDrive, fault: Fault) -> None:
-    drive.quirks.watches_cycle = True
-    _shows(drive, (0x1006, 0), fault.code or SYNC_PERIOD_US)
-
-
-def _without_data(drive: FakeDrive, fault: Fault) -> None:
-    drive.quirks.without_data |= {fault.index} if fault.index else OBJECTS_WITHOUT_DATA
-
-
-def _tpdo3_on(drive: FakeDrive, fault: Fault) -> None:
-    drive.quirks.flood_hz = fault.rate_hz or FLOOD_HZ
-    drive.preset_pdos()
-
-
-def _foreign_emcy(drive: FakeDrive, fault: Fault) -> None:
-    _shows(drive, (0x1014, 0), fault.code or 0x80 + (drive.node_id + EMCY_NODE_OFFSET) % 128)
-
-
-def _emcy_off(drive: FakeDrive, _fault: Fault) -> None:
-    _shows(drive, (0x1014, 0), EMCY_OFF | 0x80 + drive.node_id)
-
-
-def _coasting(drive: FakeDrive, fault: Fault) -> None:
+def coast_on_stops(drive: FakeDrive, fault: Fault) -> None:
+    """Objects of the stop reactions are 0 at power-up: the axis coasts."""
     for index in (fault.index,) if fault.index else (0x605A, 0x605E):
         _shows(drive, (index, 0), 0)
 
 
-def _estop(drive: FakeDrive, fault: Fault) -> None:
-    drive.quirks.sto_open = True
-    if drive.automaton.energised:
-        _torque_off(drive, fault)
-    elif drive.automaton.state is not PdsState.FAULT:
-        drive.automaton.state = PdsState.SWITCH_ON_DISABLED
+def act_on(acts: dict[Address, int]) -> DriveHook:
+    """Return a hook that lets objects return what is written to them, while the drive acts on other values."""
+
+    def hook(drive: FakeDrive, _fault: Fault) -> None:
+        for address, value in acts.items():
+            _shown_alone(drive, address, value)
+
+    return hook
 
 
-def _unreferenced(drive: FakeDrive, _fault: Fault) -> None:
-    drive.quirks.unreferenced = True
+def _shown_alone(drive: FakeDrive, address: Address, acts: int) -> None:
+    assign, shown = drive.store.entries[address].set, drive.store.number(address)
+
+    def write(value: int) -> None:
+        nonlocal shown
+        if assign is not None:
+            assign(value)  # refuses what is out of range
+        shown = value
+        drive.store.values[address] = acts
+
+    drive.alter_object(address, get=lambda: shown, set=write)
+    _shows(drive, address, acts)
 
 
-def _mute(drive: FakeDrive, _fault: Fault) -> None:
-    drive.quirks.mute_heartbeat = True
-    drive.take_quirks()
+def show_demand(drive: FakeDrive, _fault: Fault) -> None:
+    """0x6077 reports the torque demand instead of the measured torque."""
+    drive.alter_object(drive.units.torque.address, get=drive.demand_word)
 
 
-def _drops(drive: FakeDrive, fault: Fault) -> None:
-    drive.quirks.drops_after = fault.count or DROPS_AFTER_SYNCS
+def show_no_sign(drive: FakeDrive, _fault: Fault) -> None:
+    """0x6077 reports the torque without its sign."""
+    word = drive.torque_word(drive.units.torque)
+    drive.alter_object(drive.units.torque.address, get=lambda: abs(word()))
 
 
-def _never_enables(drive: FakeDrive, _fault: Fault) -> None:
-    drive.quirks.never_enables = True
+# ---------------------------------------------------------------------------------------------------------- SYNC, PDO
 
 
-def _slips(drive: FakeDrive, fault: Fault) -> None:
-    drive.axis.slip_rad_s = fault.speed_rad_s or BRAKE_SLIP_RAD_S
+def inhibit_strictly(drive: FakeDrive, _fault: Fault) -> None:
+    """TPDOs have an inhibit time at power-up, which is not written while the PDO is valid."""
+    preset_pdos = drive.preset_pdos
+
+    def preset() -> None:
+        preset_pdos()
+        for tpdo in drive.tpdos:
+            tpdo.inhibit_100us = STRICT_INHIBIT_100US
+
+    drive.alter(drive, "preset_pdos", preset)
+    for tpdo in drive.tpdos:
+        drive.alter(tpdo, "inhibit_abort", VALUE_RANGE)
+    preset()
 
 
-def _falls(drive: FakeDrive, fault: Fault) -> None:
-    drive.axis.fall_rad_s2 = fault.accel_rad_s2 or BRAKE_FALL_RAD_S2
+def watch_period(drive: FakeDrive, fault: Fault) -> None:
+    """0x1006 is set at power-up; SYNCs of another period end OPERATIONAL."""
+    _shows(drive, (0x1006, 0), fault.code)
+    apply_setpoints, node = drive.apply_setpoints, drive.node
+    previous_s, wrong = math.nan, 0
+
+    def compare() -> None:
+        nonlocal previous_s, wrong
+        apply_setpoints()
+        period_s = drive.store.number((0x1006, 0)) * 1e-6
+        passed_s, previous_s = drive.time_s - previous_s, drive.time_s
+        wrong = wrong + 1 if period_s and abs(passed_s - period_s) > SYNC_PERIOD_TOLERANCE * period_s else 0
+        if wrong >= MAX_WRONG_PERIODS:
+            previous_s, wrong = math.nan, 0
+            node.emergency(EMCY_COMMUNICATION, node.error_register | REGISTER_COMMUNICATION)
+            node.enter(PRE_OPERATIONAL)
+
+    drive.alter(drive, "apply_setpoints", compare)
 
 
-ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
-    "node_killed": _killed,
-    "node_missing": _killed,
-    "power_cycle": _reboot(lambda _index: False),
-    "reboot_keeps_all": _reboot(lambda _index: True),
-    "reboot_keeps_communication": _reboot(lambda index: index < 0x2000),
-    "reboot_keeps_nothing": _reboot(lambda _index: False),
-    "nmt_stopped": _leaves_operational(STOPPED),
-    "nmt_preoperational": _leaves_operational(PRE_OPERATIONAL),
-    "drive_fault": _faulted,
-    "fault_at_start": _faulted,
-    "quick_stop": _quick_stop,
-    "safe_torque_off": _torque_off,
-    "brake_engaged": _brake,
-    "never_settles": _hunting,
-    "demand_torque": _demand,
-    "unsigned_torque": _unsigned,
-    "heartbeat_ignored": _ignore_heartbeat,
-    "wrong_rated": _scaled_rating(1000),
-    "rated_zero": _scaled_rating(0),
-    "wrong_vendor": _other_make,
-    "write_ignored": _write_ignored,
-    "drive_exchanged": _exchanged,
-    "strict_inhibit": _strict_inhibit,
-    "start_refused": _start_refused,
-    "start_never": _start_never,
-    "cycle_period_set": _cycle_period,
-    "no_data_abort": _without_data,
-    "tpdo3_on": _tpdo3_on,
-    "foreign_emcy_id": _foreign_emcy,
-    "emcy_disabled": _emcy_off,
-    "estop_pressed": _estop,
-    "unreferenced": _unreferenced,
-    "coasting_stop": _coasting,
-    "no_heartbeat": _mute,
-    "enables_and_drops": _drops,
-    "never_enables": _never_enables,
-    "brake_slips": _slips,
-    "brake_falls": _falls,
-}
+def flood(drive: FakeDrive, fault: Fault) -> None:
+    """TPDO3 is valid at power-up and is sent at a rate, without a trigger."""
+    preset_pdos, send_event, flooding = drive.preset_pdos, drive.send_event, drive.tpdos[FLOODING_TPDO]
+    sent_s = math.nan
+
+    def preset() -> None:
+        preset_pdos()
+        flooding.cob_id &= ~DISABLED
+
+    def send(number: int, time_s: float) -> None:
+        nonlocal sent_s
+        if number != FLOODING_TPDO:
+            send_event(number, time_s)
+            return
+        if not time_s - sent_s <= MAX_FLOOD_BACKLOG_S:
+            sent_s = time_s
+        for _ in range(int((time_s - sent_s) * fault.rate_hz)):
+            sent_s += 1.0 / fault.rate_hz
+            drive.transmit(flooding)
+
+    drive.alter(drive, "preset_pdos", preset)
+    drive.alter(drive, "send_event", send)
+    preset()
+
+
+def delay_tpdos(drive: FakeDrive, _fault: Fault) -> None:
+    """TPDOs are sent a while after they are due."""
+    due: deque[tuple[float, can.Message]] = deque()
+    advanced = drive.advanced
+
+    def transmit(tpdo: Pdo) -> None:
+        message = can.Message(arbitration_id=tpdo.frame_id, data=tpdo.pack(), is_extended_id=False)
+        due.append((drive.time_s + TPDO_DELAY_S, message))
+
+    def later(time_s: float) -> None:
+        advanced(time_s)
+        while due and time_s >= due[0][0]:
+            drive.put(due.popleft()[1])
+
+    drive.alter(drive, "transmit", transmit)
+    drive.alter(drive, "advanced", later)
+
+
+def skip_syncs(drive: FakeDrive, _fault: Fault) -> None:
+    """Synchronous TPDOs are sent at every second SYNC."""
+    transmit, sync = drive.transmit, drive.sync
+    count, syncing = 0, False
+
+    def send(tpdo: Pdo) -> None:
+        if not syncing or count % 2 == 0:
+            transmit(tpdo)
+
+    def on_sync() -> None:
+        nonlocal count, syncing
+        count, syncing = count + 1, True
+        sync()
+        syncing = False
+
+    drive.alter(drive, "transmit", send)
+    drive.alter(drive, "sync", on_sync)
+
+
+def delay_torque(drive: FakeDrive, _fault: Fault) -> None:
+    """The torque word is some SYNCs old."""
+    address, sync = drive.units.torque.address, drive.sync
+    word, kept = drive.store.entries[address].get, deque([0] * (TORQUE_AGE_SYNCS + 1), TORQUE_AGE_SYNCS + 1)
+
+    def on_sync() -> None:
+        kept.append(int(word()))
+        sync()
+
+    drive.alter(drive, "sync", on_sync)
+    drive.alter_object(address, get=lambda: kept[0])
+
+
+def delay_controlwords(drive: FakeDrive, _fault: Fault) -> None:
+    """A controlword acts after a while."""
+    due: deque[tuple[float, int]] = deque()
+    advanced = drive.advanced
+
+    def later(time_s: float) -> None:
+        while due and time_s >= due[0][0]:
+            drive.take_controlword(due.popleft()[1])
+        advanced(time_s)
+
+    drive.alter(drive, "advanced", later)
+    drive.alter_object(CONTROLWORD, set=lambda word: due.append((drive.time_s + CONTROLWORD_DELAY_S, word)))
+
+
+def delay_rpdos(drive: FakeDrive, _fault: Fault) -> None:
+    """Synchronous RPDOs act one SYNC after their own."""
+    received, sync = drive.rpdo_received, drive.sync
+    waiting: list[tuple[int, bytes]] = []
+
+    def on_sync() -> None:
+        sync()
+        for number, data in waiting:
+            received(number, data)
+        waiting.clear()
+
+    drive.alter(drive, "rpdo_received", lambda number, data: waiting.append((number, data)))
+    drive.alter(drive, "sync", on_sync)
+
+
+# ---------------------------------------------------------------------------------------------------------- mechanics
+
+
+def stick_brake(drive: FakeDrive, _fault: Fault) -> None:
+    """The holding brake closes while the drive is enabled, and does not open any more."""
+    drive.alter(drive.motion, "brake_stuck", True)
+    drive.axis.lock()
+
+
+def hunt(drive: FakeDrive, _fault: Fault) -> None:
+    """The position loop oscillates."""
+    drive.alter(drive.motion, "wobble", (HUNTING_RAD, HUNTING_HZ))
+
+
+def slip(drive: FakeDrive, fault: Fault) -> None:
+    """The axis drops slowly with the brake closed."""
+    drive.alter(drive.axis, "slip_rad_s", fault.speed_rad_s)
+
+
+def fall(drive: FakeDrive, fault: Fault) -> None:
+    """The brake does not hold the axis after it was opened once."""
+    drive.alter(drive.axis, "fall_rad_s2", fault.accel_rad_s2)
+
+
+def close_brake_slowly(drive: FakeDrive, _fault: Fault) -> None:
+    """The brake closes a while after the motor is off."""
+    drive.alter(drive.motion, "brake_closing_s", BRAKE_CLOSING_S)

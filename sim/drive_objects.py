@@ -9,6 +9,7 @@ from typing import Protocol
 from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.cellfile import AxisSpec
+from sim.makes import SUPPORTED_MODES
 from sim.motor import MotorAxis
 from sim.objects import LIMITS, VALUE_RANGE, ObjectStore
 from sim.states import Automaton
@@ -131,7 +132,8 @@ def _state_objects(drive: DescribedDrive) -> None:
     store.parameter((0x605E, 0), "i16", 2, _one_of(0, 1, 2))
     store.live((0x6060, 0), "i8", lambda: drive.mode, drive.take_mode)
     store.live((0x6061, 0), "i8", lambda: drive.mode)
-    store.constant((0x6502, 0), "u32", sum(1 << bit for bit in MODES.values()))
+    modes = sum(1 << bit for bit in MODES.values())
+    store.constant((0x6502, 0), "u32", SUPPORTED_MODES.get(str(drive.spec.profile.get("name")), modes))
     store.constant((0x6402, 0), "u16", 10)
     store.live((0x60FD, 0), "u32", drive.digital_inputs)
     store.constant((0x60FE, 0), "u8", 1)

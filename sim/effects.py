@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.off_library import OFF_LIBRARY, OFF_LIBRARY_WITH_GEOMETRY
+from sim.off_library import OFF_LIBRARY
 from sim.plant import Plant
 from sim.reading_effects import (
     axes_swapped,
@@ -24,9 +24,8 @@ from sim.reading_effects import (
     torque_constant_scale,
     torque_offset,
     torque_ripple,
-    warm_up,
 )
-from sim.request import Array, EffectError, PointJacobian, Request, Transform, add_passive, changed
+from sim.request import Array, EffectError, PointJacobian, Request, Transform, altered, passive_on
 from sim.urdf import MOST_AXES
 
 # ---------------------------------------------------------------------------------------------------------- friction
@@ -35,32 +34,24 @@ from sim.urdf import MOST_AXES
 def static_friction(request: Request) -> Transform:
     """Add dry friction at rest: `bias_nm` against the approach direction."""
     axis, bias = request.axis(), request.number("bias_nm")
-
-    def apply(plant: Plant) -> Plant:
-        return replace(
-            plant,
-            coulomb_nm=changed(plant.coulomb_nm, axis, lambda value: value + bias),
-            stiction_nm=changed(plant.stiction_nm, axis, lambda value: value + abs(bias)),
-        )
-
-    return apply
+    kinetic = altered("coulomb_nm", axis, lambda value: value + bias)
+    at_rest = altered("stiction_nm", axis, lambda value: value + abs(bias))
+    return lambda plant: at_rest(kinetic(plant))
 
 
 def load_dependent_friction(request: Request) -> Transform:
     """Add gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
-    axis, nu = request.axis(), request.number("coefficient")
-    return lambda plant: replace(plant, load_friction=changed(plant.load_friction, axis, lambda value: value + nu))
+    nu = request.number("coefficient")
+    return altered("load_friction", request.axis(), lambda value: value + nu)
 
 
 def velocity_friction(request: Request) -> Transform:
     """Add Coulomb and viscous friction in motion."""
     axis = request.axis()
     coulomb, viscous = request.number("coulomb_nm", 0.0), request.number("viscous_nm_s_rad", 0.0)
-    return lambda plant: replace(
-        plant,
-        coulomb_nm=changed(plant.coulomb_nm, axis, lambda value: value + coulomb),
-        viscous_nm_s_rad=changed(plant.viscous_nm_s_rad, axis, lambda value: value + viscous),
-    )
+    dry = altered("coulomb_nm", axis, lambda value: value + coulomb)
+    wet = altered("viscous_nm_s_rad", axis, lambda value: value + viscous)
+    return lambda plant: wet(dry(plant))
 
 
 # ---------------------------------------------------------------------------------------------------------- geometry
@@ -78,18 +69,14 @@ def base_tilt(request: Request) -> Transform:
 
 def joint_zero_offset(request: Request) -> Transform:
     """Shift the link by `offset_rad` against the encoder."""
-    axis, offset = request.axis(), request.number("offset_rad")
-    return lambda plant: replace(
-        plant, zero_offset_rad=changed(plant.zero_offset_rad, axis, lambda value: value + offset)
-    )
+    offset = request.number("offset_rad")
+    return altered("zero_offset_rad", request.axis(), lambda value: value + offset)
 
 
 def joint_elasticity(request: Request) -> Transform:
     """Add gear elasticity: the gear twists under the transmitted torque."""
-    axis, compliance = request.axis(), request.number("compliance_rad_nm")
-    return lambda plant: replace(
-        plant, compliance_rad_nm=changed(plant.compliance_rad_nm, axis, lambda value: value + compliance)
-    )
+    compliance = request.number("compliance_rad_nm")
+    return altered("compliance_rad_nm", request.axis(), lambda value: value + compliance)
 
 
 # ------------------------------------------------------------------------------------------- bodies, springs, cables
@@ -115,14 +102,12 @@ def balancer_spring(request: Request) -> Transform:
         stroke = min((length_m - shortest) / gas, 0.95)
         return stiffness * gas / 1.3 * (1.0 - stroke) ** -1.3
 
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+    def torque(q_rad: Array) -> float:
         angle = q_rad[1] - phase
         length = math.sqrt(lever**2 + anchor**2 - 2.0 * lever * anchor * math.cos(angle))
-        out = np.zeros_like(q_rad)
-        out[1] = -force(length) * lever * anchor * math.sin(angle) / length
-        return out
+        return -force(length) * lever * anchor * math.sin(angle) / length
 
-    return lambda plant: add_passive(plant, torque)
+    return passive_on(1, torque)
 
 
 def cable_torque(request: Request) -> Transform:
@@ -130,13 +115,11 @@ def cable_torque(request: Request) -> Transform:
     axis, stiffness = request.axis(), request.number("stiffness_nm_rad")
     neutral, harmonic = request.number("neutral_rad", 0.0), request.parameters.get("shape", "linear") == "harmonic"
 
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+    def torque(q_rad: Array) -> float:
         wound = q_rad[axis] - neutral
-        out = np.zeros_like(q_rad)
-        out[axis] = -stiffness * (math.sin(wound) if harmonic else wound)
-        return out
+        return -stiffness * (math.sin(wound) if harmonic else wound)
 
-    return lambda plant: add_passive(plant, torque)
+    return passive_on(axis, torque)
 
 
 def link_mass(request: Request) -> Transform:
@@ -214,24 +197,14 @@ def effect_from_dict(effect: Mapping[str, object], jacobian: PointJacobian | Non
         raise EffectError(f"effect {name}: joints must be numbers from 1 to {MOST_AXES}, got {joints!r}")
     if not isinstance(parameters, Mapping):
         raise EffectError(f"effect {name}: parameters must be a table")
-    request = Request(name, tuple(joints), parameters)
-    if name in OFF_LIBRARY_WITH_GEOMETRY:
-        if jacobian is None:
-            raise EffectError(f"effect {name} needs the geometry of the arm")
-        return _within(request, OFF_LIBRARY_WITH_GEOMETRY[name](request, jacobian))
-    build = LIBRARY.get(name) or OFF_LIBRARY.get(name)
-    if build is None:
-        known = ", ".join([*LIBRARY, *OFF_LIBRARY, *OFF_LIBRARY_WITH_GEOMETRY])
-        raise EffectError(f"unknown effect {name!r} (allowed: {known})")
-    return _within(request, build(request))
-
-
-def _within(request: Request, transform: Transform) -> Transform:
-    """Wrap an effect so that it is refused for an arm without the named joints."""
+    effects = LIBRARY | OFF_LIBRARY
+    if name not in effects:
+        raise EffectError(f"unknown effect {name!r} (allowed: {', '.join(effects)})")
+    transform = effects[name](Request(name, tuple(joints), parameters, jacobian))
 
     def apply(plant: Plant) -> Plant:
-        if max(request.joints, default=1) > plant.axes:
-            raise EffectError(f"effect {request.name}: joint {max(request.joints)} of an arm of {plant.axes} axes")
+        if max(joints, default=1) > plant.axes:
+            raise EffectError(f"effect {name}: joint {max(joints)} of an arm of {plant.axes} axes")
         return transform(plant)
 
     return apply
@@ -258,10 +231,8 @@ def _rotation(vector: Array) -> Array:
 __all__ = [
     "LIBRARY",
     "OFF_LIBRARY",
-    "OFF_LIBRARY_WITH_GEOMETRY",
     "EffectError",
     "Request",
     "apply_effects",
     "effect_from_dict",
-    "warm_up",
 ]

@@ -7,20 +7,20 @@ angle and speed with the scaling of the drive's profile; setpoints are converted
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any
 
 import can
 from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.cellfile import AxisSpec
 from sim.drive_objects import MODES, fill
-from sim.makes import as_made
+from sim.makes import LACKING
 from sim.motion import DriveMotion
 from sim.motor import MotorAxis
 from sim.node import OPERATIONAL, SlaveNode
-from sim.objects import VALUE_RANGE, ObjectStore
+from sim.objects import NO_DATA, VALUE_RANGE, Address, Getter, ObjectStore, Setter
 from sim.pdo import DISABLED, EVENT_TYPES, Pdo, due
-from sim.quirks import FLOODING_TPDO, QuirkBehaviour
 from sim.states import Automaton, PdsState
 from sim.units import MAX_TORQUE_PER_MILLE, DriveUnits, Word, drive_units
 
@@ -31,26 +31,17 @@ EMCY_HEARTBEAT, EMCY_PDO_LENGTH = 0x8130, 0x8210
 REGISTER_GENERIC, REGISTER_COMMUNICATION, REGISTER_PROFILE = 0x01, 0x10, 0x20
 
 
-@dataclass(frozen=True, slots=True)
-class DriveSite:
-    """Node id, axis and SYNC period of one drive in the cell.
+class FakeDrive:
+    """One simulated drive: network node, object dictionary, CiA 402 state machine and motor.
 
-    Attributes
+    Parameters
     ----------
     node_id : CANopen node id
     spec : axis of the cell that the drive moves
+    axis : its motor
     sync_period_s : period of the SYNC that it receives
+    send : sends a frame on the bus
     limited : has software position limits (not on a coupled axis, whose range depends on other joints)
-    """
-
-    node_id: int
-    spec: AxisSpec
-    sync_period_s: float
-    limited: bool = True
-
-
-class FakeDrive:
-    """One simulated drive: network node, object dictionary, CiA 402 state machine and motor.
 
     Attributes
     ----------
@@ -59,36 +50,45 @@ class FakeDrive:
     axis : the motor that it drives
     reading_nm : torque measured last, at the gear output [Nm]
     error_code : 0x603F
-    quirks, behaviour : deviations from a tolerant and healthy drive, and what it does by them
+    time_s : simulated time that it has reached [s]
+    power_up_values : objects by address, as they are after a restart
     put : sends a frame on the bus
     """
 
-    def __init__(self, site: DriveSite, axis: MotorAxis, send: Callable[[can.Message], None]) -> None:
-        self.node_id, self.spec, self.sync_period_s = site.node_id, site.spec, site.sync_period_s
-        self.limited = site.limited
-        self.axis = axis
+    def __init__(
+        self,
+        node_id: int,
+        spec: AxisSpec,
+        axis: MotorAxis,
+        sync_period_s: float,
+        send: Callable[[can.Message], None],
+        limited: bool = True,
+    ) -> None:
+        self.node_id, self.spec, self.sync_period_s = node_id, spec, sync_period_s
+        self.limited, self.axis = limited, axis
         self.put = send
-        self.units: DriveUnits = drive_units(site.spec)
-        self.serial = 0x51_0000 + site.node_id
-        self.counts_per_joint_rad = site.spec.position_sign * site.spec.gear_ratio * self.units.counts_per_rad
+        self.units: DriveUnits = drive_units(spec)
+        self.serial = 0x51_0000 + node_id
+        self.counts_per_joint_rad = spec.position_sign * spec.gear_ratio * self.units.counts_per_rad
         self.reading_nm = 0.0
         self.automaton = Automaton()
-        self.quirks = as_made(self.spec.profile)
-        self.behaviour = QuirkBehaviour(self)
-        self._time_s = 0.0
+        self.time_s = 0.0
         self.motion = DriveMotion(self)
         self.store = ObjectStore()
         self.reset_setpoints()
         fill(self)
         self.target_counts = self.position_counts()
         self._register_pdos()
-        self._reset_values = dict(self.store.values)
-        self.node = SlaveNode(site.node_id, self.store)
-        self._reset_values |= {key: self.store.values[key] for key in ((0x1014, 0), (0x1016, 1), (0x1017, 0))}
+        self.node = SlaveNode(node_id, self.store)
+        self.power_up_values = dict(self.store.values)
+        self._built = dict(self.store.values), dict(self.store.entries)
+        self._altered: list[tuple[object, str, Any]] = []
+        lacking = LACKING.get(str(spec.profile.get("name")), frozenset())
+        self.node.sdo.refuse = lambda index, _subindex: NO_DATA if index in lacking else None
         self.node.on_nmt = self._nmt_changed
         self.node.on_reset = self.reset
-        self._mend()
-        self.take_quirks()
+        self.node.on_heartbeat_lost = self._heartbeat_lost
+        self.node.on_heartbeat_resumed = self._heartbeat_resumed
         self.take_max_torque(MAX_TORQUE_PER_MILLE)
         self.automaton.power_up()
 
@@ -104,37 +104,34 @@ class FakeDrive:
         mode = self.mode
         self.reset_setpoints()
         self.mode = mode if keeps(0x6060) else 0
-        self.store.values.update({key: value for key, value in self._reset_values.items() if not keeps(key[0])})
+        self.store.values.update({key: value for key, value in self.power_up_values.items() if not keeps(key[0])})
         self.automaton.quick_stop_holds = False
-        self.take_quirks()
         self.target_counts = self.position_counts()
         if not keeps(0x1800):
             self.preset_pdos()
         self.take_max_torque(self.store.number((0x6072, 0)))
         self.automaton.power_up()
 
-    def take_quirks(self) -> None:
-        """Apply the present quirks to the objects, the heartbeat and the TPDOs."""
-        self.store.values.update(self.quirks.values)
-        self.node.mute = self.quirks.mute_heartbeat
-        for tpdo in self.tpdos:
-            tpdo.inhibit_abort = self.quirks.inhibit_abort
+    def alter(self, owner: object, name: str, value: Any) -> None:
+        """Replace an attribute or a method of the drive or of a part of it, until `repair`."""
+        self._altered.append((owner, name, getattr(owner, name)))
+        setattr(owner, name, value)
+
+    def alter_object(self, address: Address, get: Getter | None = None, set: Setter | None = None) -> None:
+        """Replace how an object is read or written, by SDO and by PDO, until `repair`."""
+        entry = self.store.entries[address]
+        self.store.entries[address] = replace(entry, get=get or entry.get, set=set or entry.set)
+        for pdo in (*self.tpdos, *self.rpdos):
+            pdo.refresh()
 
     def repair(self) -> None:
-        """Remove all injected faults and restart the drive; the caller sends the boot-up message."""
-        self.quirks = as_made(self.spec.profile)
-        self._mend()
+        """Undo every alteration and restart the drive; the caller sends the boot-up message."""
+        while self._altered:
+            setattr(*self._altered.pop())
+        values, entries = self._built
+        self.power_up_values = dict(values)
+        self.store.entries.update(entries)
         self.reset()
-
-    def _mend(self) -> None:
-        self.behaviour = QuirkBehaviour(self)
-        self.node.unpowered = False
-        self.node.on_heartbeat_lost = self._heartbeat_lost
-        self.node.on_heartbeat_resumed = self._heartbeat_resumed
-        self.node.may_start = self.behaviour.may_start
-        self.node.sdo.refuse = self.behaviour.refuse
-        self.motion.brake_stuck, self.motion.wobble = False, None
-        self.axis.slip_rad_s = self.axis.fall_rad_s2 = 0.0
 
     # ----------------------------------------------------------------------------------------------------- PDOs
 
@@ -149,11 +146,10 @@ class FakeDrive:
 
     def preset_pdos(self) -> None:
         """Set the default PDO mapping of CiA 402-2: PDO 1 by event (statusword, controlword), others invalid."""
-        flooding = FLOODING_TPDO if self.quirks.flood_hz else 0
         for n, (tpdo, rpdo) in enumerate(zip(self.tpdos, self.rpdos, strict=True)):
-            tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | (0 if n in (0, flooding) else DISABLED)
+            tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | (0 if n == 0 else DISABLED)
             rpdo.cob_id = (0x200 + 0x100 * n + self.node_id) | (0 if n == 0 else DISABLED)
-            tpdo.inhibit_100us, tpdo.event_ms = self.quirks.inhibit_100us, 0
+            tpdo.inhibit_100us = tpdo.event_ms = 0
             tpdo.preset([(0x6041, 0)] if n == 0 else [(0x6041, 0), (0x6064, 0)][: n + 1], 255)
             rpdo.preset([(0x6040, 0)] if n == 0 else [(0x6040, 0), (0x607A, 0)][: n + 1], 255)
         self._buffers: list[bytes | None] = [None] * PDO_COUNT
@@ -178,33 +174,35 @@ class FakeDrive:
         if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         self._sync_count += 1
+        self.apply_setpoints()
+        for tpdo in self.tpdos:
+            if self.node.state == OPERATIONAL and due(tpdo, self._sync_count):
+                self.transmit(tpdo)
+
+    def apply_setpoints(self) -> None:
+        """Take over the synchronous RPDOs that have come since the last SYNC."""
         for number, data in enumerate(self._buffers):
             if data is not None:
                 self._buffers[number] = None
                 self.rpdos[number].unpack(data)
-        self.behaviour.sync_received(self._time_s)
-        if self.node.state != OPERATIONAL:
-            return
-        for tpdo in self.tpdos:
-            if due(tpdo, self._sync_count):
-                self.transmit(tpdo)
 
     def send_events(self, time_s: float) -> None:
         """Send event-driven TPDOs: on change, limited by the inhibit time, and when the event timer elapses."""
         if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         for number, tpdo in enumerate(self.tpdos):
-            if not tpdo.enabled or tpdo.transmission not in (0, *EVENT_TYPES):
-                continue
-            if number == FLOODING_TPDO and self.quirks.flood_hz:
-                self.behaviour.flood(tpdo, time_s)
-                continue
-            data, before = tpdo.pack(), self._last_event[number]
-            waited = time_s - self._event_due_s[number]
-            timer = tpdo.event_ms and waited >= tpdo.event_ms * 1e-3
-            if (data != before and (before is None or waited >= tpdo.inhibit_100us * 1e-4)) or timer:
-                self._last_event[number], self._event_due_s[number] = data, time_s
-                self.transmit(tpdo)
+            if tpdo.enabled and tpdo.transmission in (0, *EVENT_TYPES):
+                self.send_event(number, time_s)
+
+    def send_event(self, number: int, time_s: float) -> None:
+        """Send an event-driven TPDO (0 = TPDO1) if it is due."""
+        tpdo = self.tpdos[number]
+        data, before = tpdo.pack(), self._last_event[number]
+        waited = time_s - self._event_due_s[number]
+        timer = tpdo.event_ms and waited >= tpdo.event_ms * 1e-3
+        if (data != before and (before is None or waited >= tpdo.inhibit_100us * 1e-4)) or timer:
+            self._last_event[number], self._event_due_s[number] = data, time_s
+            self.transmit(tpdo)
 
     def transmit(self, tpdo: Pdo) -> None:
         """Send one TPDO."""
@@ -219,26 +217,12 @@ class FakeDrive:
         if before is PdsState.FAULT and self.automaton.state is PdsState.SWITCH_ON_DISABLED:
             self.error_code = 0
             self.node.emergency(0x0000, 0)
-        self._undo_prevented()
         self.motion.state_changed(before)
-
-    def _undo_prevented(self) -> None:
-        """Undo a transition that the open safety circuit or the quirk `never_enables` prevents."""
-        automaton = self.automaton
-        if self.quirks.sto_open and automaton.state not in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
-            automaton.state = PdsState.SWITCH_ON_DISABLED
-        if self.quirks.never_enables and automaton.state is PdsState.OPERATION_ENABLED:
-            automaton.state = PdsState.SWITCHED_ON
 
     @property
     def enabled(self) -> bool:
         """Return whether the drive is in OPERATION ENABLED."""
         return self.automaton.state is PdsState.OPERATION_ENABLED
-
-    def drop_out(self) -> None:
-        """Fall back from OPERATION ENABLED to SWITCHED ON without a command."""
-        self.automaton.state = PdsState.SWITCHED_ON
-        self.motion.state_changed(PdsState.SWITCHED_ON)
 
     def statusword(self) -> int:
         """Return the statusword (0x6041)."""
@@ -283,7 +267,6 @@ class FakeDrive:
     def _nmt_changed(self, old: int, new: int) -> None:
         if new == OPERATIONAL:
             self._sync_count = 0
-            self.behaviour.entered_operational()
             self._last_event = [None] * PDO_COUNT
         elif old == OPERATIONAL:
             self._connection_lost(0)
@@ -412,11 +395,10 @@ class FakeDrive:
         counts, low, high = self.position_counts(), self.store.number((0x607D, 1)), self.store.number((0x607D, 2))
         on = bool(low or high)
         limits = (on and counts < low) | (on and counts > high) << 1
-        healthy = (not self.quirks.sto_open) << 24 | (not self.quirks.unreferenced) << 25
-        return limits | (not self.axis.free) << 16 | healthy
+        return limits | (not self.axis.free) << 16 | 1 << 24 | 1 << 25
 
     def advanced(self, time_s: float) -> None:
         """Run the monitoring of heartbeats and motion after the simulation has advanced to `time_s`."""
-        self._time_s = time_s
+        self.time_s = time_s
         self.node.watch(time_s)
         self.motion.supervise(time_s)

@@ -1,4 +1,4 @@
-"""Kinds of bus and drive faults that the simulator injects, and the reader of scenario files.
+"""The table of faults of simulated drives, and the reader of scenario files.
 
     [[fault]]
     kind = "tpdo_lost"
@@ -6,223 +6,200 @@
     at_sync = 200      # SYNC at which the fault starts, counted from the first SYNC on the bus
     syncs = 5          # duration in SYNCs; 0 = until the end
 
-A fault is implemented where it acts: on the wire (`sim.faulty_wire`), in the drive, or in the drive's objects and
-behaviour before a master starts (`sim.quirks`). Faults of the master are listed for completeness. Every kind acts in
-lockstep and in real time; its duration is counted in SYNCs in both, and delays are in seconds.
+Everything that breaks a simulated drive is a row of `KINDS`. A row states where the fault acts, what it does
+(`sim.drive_faults`, `sim.wire_faults`), the reaction of the master, when it starts, and its parameters with defaults.
+Faults of the master are listed for completeness. Every kind acts in lockstep and in real time; its duration is counted
+in SYNCs in both, and delays are in seconds.
 """
 
 from __future__ import annotations
 
+import math
+import re
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
-Where = Literal["wire", "drive", "object", "master"]
-Reaction = Literal["goes on", "retried", "stops", "refuses", "finding", "drives stop", "kept"]
+from sim import drive_faults as drives
+from sim import wire_faults as wires
+from sim.drive_faults import DriveHook
+from sim.fake_drive import FakeDrive
+from sim.fault import Fault, Kind, Reaction, Starts, Where
+from sim.node import PRE_OPERATIONAL, STOPPED
+from sim.wire_faults import ANSWERS, AT_START, AT_SYNC, HEARTBEAT, RPDO1, SDO_ANSWER, TPDO1, WireHook
 
-#: What each reaction means.
-REACTIONS: dict[Reaction, str] = {
-    "goes on": "the fault is counted and reported; all samples stay valid",
-    "retried": "the SYNCs concerned are reported as incomplete and their samples are measured again",
-    "stops": "every axis makes a controlled stop; recorded data is kept; motion does not resume by itself",
-    "refuses": "no axis moves; an error names the node and the object",
-    "finding": "the pre-flight check or the data quality report shows a finding with a remedy",
-    "drives stop": "every drive stops by itself (heartbeat consumer), whatever the master does",
-    "kept": "the run ends with an error; every finished pose visit is on disk",
-}
+MAX_SYNC = 10**9
+LONGEST_LINE = 500
+ENCODER_FAULT = 0x7305
+RATED_TORQUE, MODE, ABORT_OPTION = 0x6076, 0x6060, 0x6007
+#: SDO abort code: not possible in the present state of the device.
+DEVICE_STATE = 0x08000022
+SDO = (SDO_ANSWER,)
 
 
 class FaultError(ValueError):
     """Scenario file or fault definition that is not valid."""
 
 
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """Kind of fault, with the reaction that the master must show.
+def _wire(
+    touches: tuple[int, ...],
+    hook: WireHook,
+    reaction: Reaction,
+    bound: int | None = None,
+    starts: Starts | None = None,
+    bound_s: float | None = None,
+    **defaults: Any,
+) -> Kind:
+    return Kind("wire", starts or _start(bound), reaction, bound, hook, touches, defaults, bound_s)
 
-    Attributes
-    ----------
-    where : place of the injection; "object": acts from power-up on, so it is injected before a master connects
-    reaction : required reaction
-    bound : SYNCs allowed from the start to the reaction; None = not counted in SYNCs (before motion, or in real time)
-    meaning : description in one line
-    real : required reaction with real-time pacing if it differs; None = as `reaction`
-    bound_s : with real-time pacing, time allowed from the start to the reaction [s]; None = `bound` SYNCs
-    """
 
-    where: Where
-    reaction: Reaction
-    bound: int | None
-    meaning: str
-    real: Reaction | None = None
-    bound_s: float | None = None
+def _drive(
+    where: Where,
+    hook: DriveHook,
+    reaction: Reaction,
+    bound: int | None = None,
+    starts: Starts | None = None,
+    **defaults: Any,
+) -> Kind:
+    return Kind(where, starts or _start(bound), reaction, bound, hook, (), defaults)
 
-    def reaction_in(self, pacing: str) -> Reaction:
-        """Return the required reaction for the given pacing ("lockstep" or "real")."""
-        return self.real if pacing == "real" and self.real is not None else self.reaction
+
+def _start(bound: int | None) -> Starts:
+    """Return when a fault starts that does not state it: one that is counted in SYNCs has to start during a run."""
+    return "power-up" if bound is None else "any time"
+
+
+def _master(reaction: Reaction, bound: int | None = None) -> Kind:
+    return Kind("master", "any time", reaction, bound, None, (), {})
 
 
 KINDS: dict[str, Kind] = {
     # TPDOs and SYNC on the wire
-    "tpdo_lost": Kind("wire", "retried", 1, "TPDOs of one drive are lost for a few SYNCs"),
-    "tpdo_gone": Kind("wire", "stops", 6, "one drive stops sending its TPDOs"),
-    "tpdo_duplicated": Kind("wire", "goes on", 1, "every TPDO is sent twice"),
-    "tpdo_delayed": Kind("wire", "goes on", 1, "the TPDO of one drive arrives after all others"),
-    "tpdo_reordered": Kind("wire", "goes on", 1, "TPDOs arrive in changing order"),
-    "tpdo_late": Kind("wire", "retried", 1, "a TPDO arrives after the next SYNC"),
-    "tpdo_short": Kind("wire", "retried", 1, "a TPDO is shorter than its mapping"),
-    "tpdo_empty": Kind("wire", "retried", 1, "a TPDO has no data bytes"),
-    "tpdo_torn": Kind("wire", "retried", 1, "two TPDOs with different data follow one SYNC"),
-    "tpdo_stuck": Kind("wire", "stops", 52, "the TPDOs of one drive repeat old values permanently"),
-    "tpdo_random_loss": Kind("wire", "retried", 1, "a random share of all TPDOs is lost"),
-    "burst": Kind("wire", "retried", 1, "the TPDOs of one drive are held for 25 ms and then sent at once"),
-    "rpdo_lost": Kind("wire", "goes on", 1, "an RPDO to one drive is lost during slow motion"),
-    "rpdo_gone": Kind("wire", "stops", 100, "one drive receives no RPDOs any more"),
-    "sync_lost": Kind("wire", "retried", 1, "a SYNC is lost for all drives"),
+    "tpdo_lost": _wire(ANSWERS, wires.lose, "retried", 1, syncs=3),
+    "tpdo_gone": _wire(ANSWERS, wires.lose, "stops", 6, syncs=0),
+    "tpdo_duplicated": _wire(ANSWERS, wires.send_twice, "goes on", 1, syncs=50),
+    "tpdo_delayed": _wire(ANSWERS, wires.send_last, "goes on", 1, syncs=20),
+    "tpdo_reordered": _wire(ANSWERS, wires.shuffle, "goes on", 1, node=0, syncs=0),
+    "tpdo_late": _wire(ANSWERS, wires.delay, "retried", 1, delay_s=0.0),
+    "tpdo_short": _wire(ANSWERS, wires.cut(-1), "retried", 1),
+    "tpdo_empty": _wire(ANSWERS, wires.cut(0), "retried", 1),
+    "tpdo_torn": _wire((TPDO1,), wires.tear, "retried", 1),
+    "tpdo_stuck": _wire(ANSWERS, wires.freeze, "stops", 52, starts="slow motion", syncs=0),  # as a drive at rest may
+    "tpdo_random_loss": _wire(ANSWERS, wires.lose_some, "retried", 1, node=0, syncs=0, share=0.002),
+    "burst": _wire(ANSWERS, wires.gather, "retried", 1, syncs=2, delay_s=0.025),
+    "rpdo_lost": _wire((RPDO1,), wires.lose, "goes on", 1, starts="slow motion"),
+    "rpdo_gone": _wire((RPDO1,), wires.lose, "stops", 100, starts="in motion", syncs=0),
+    "sync_lost": _wire((AT_SYNC,), wires.lose, "retried", 1, node=0),
     # SDO on the wire
-    "sdo_late": Kind("wire", "goes on", None, "SDO responses are delayed within the time-out"),
-    "sdo_too_late": Kind("wire", "goes on", None, "an SDO response arrives after its time-out; repeated"),
-    "sdo_lost": Kind("wire", "goes on", None, "one SDO response is lost; the request is repeated"),
-    "sdo_silent": Kind("wire", "refuses", None, "the drive does not respond to SDO requests"),
-    "sdo_aborted": Kind("wire", "refuses", None, "the drive aborts the access to an object"),
-    "sdo_other_object": Kind("wire", "refuses", None, "the SDO response names another object"),
-    "sdo_wrong_toggle": Kind("wire", "refuses", None, "wrong toggle bit in a segmented SDO transfer"),
-    "sdo_short": Kind("wire", "refuses", None, "SDO responses of less than eight bytes"),
+    "sdo_late": _wire(SDO, wires.of_object(wires.delay), "goes on", syncs=0, count=5, delay_s=0.1, index=0),
+    "sdo_too_late": _wire(
+        SDO, wires.of_object(wires.delay), "goes on", syncs=0, count=1, delay_s=0.8, index=RATED_TORQUE
+    ),
+    "sdo_lost": _wire(SDO, wires.of_object(wires.lose), "goes on", syncs=0, count=1, index=RATED_TORQUE),
+    "sdo_silent": _wire(SDO, wires.of_object(wires.lose), "refuses", syncs=0, index=0),  # no answer
+    "sdo_aborted": _wire(SDO, wires.of_object(wires.abort), "refuses", syncs=0, index=MODE, code=DEVICE_STATE),
+    "sdo_other_object": _wire(SDO, wires.of_object(wires.other_object), "refuses", syncs=0, index=RATED_TORQUE),
+    "sdo_wrong_toggle": _wire(SDO, wires.wrong_toggle, "refuses", syncs=0, count=1),
+    "sdo_short": _wire(SDO, wires.cut(4), "refuses", syncs=0),
     # heartbeat, power, NMT
-    "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat stops", bound_s=0.85),
-    "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat stops and starts again", bound_s=0.85),
-    "node_killed": Kind("drive", "stops", 6, "the drive loses power"),
-    "power_cycle": Kind("drive", "stops", 2, "the drive restarts during a run"),
-    "reboot_keeps_all": Kind(
-        "drive", "refuses", None, "the drive restarts with its brake applied and keeps all objects"
+    "heartbeat_lost": _wire((HEARTBEAT,), wires.lose, "stops", starts="in motion", bound_s=0.85, syncs=0),
+    "heartbeat_back": _wire((HEARTBEAT,), wires.lose, "stops", starts="in motion", bound_s=0.85, syncs=900),
+    "node_killed": _drive("drive", drives.lose_power, "stops", 6),
+    "power_cycle": _drive("drive", drives.restart(lambda _index: False), "stops", 2),
+    "reboot_keeps_all": _drive("drive", drives.restart(lambda _index: True), "refuses", starts="in brakes"),
+    "reboot_keeps_communication": _drive(
+        "drive", drives.restart(lambda index: index < 0x2000), "refuses", starts="in brakes"
     ),
-    "reboot_keeps_communication": Kind(
-        "drive", "refuses", None, "the drive restarts with its brake applied and keeps 0x1000 to 0x1FFF"
-    ),
-    "reboot_keeps_nothing": Kind(
-        "drive", "refuses", None, "the drive restarts with its brake applied, with factory settings"
-    ),
-    "boot_up_frame": Kind("wire", "stops", 2, "a boot-up message during a run"),
-    "nmt_stopped": Kind("drive", "stops", 2, "the drive goes to NMT state STOPPED"),
-    "nmt_preoperational": Kind("drive", "stops", 2, "the drive changes to PRE-OPERATIONAL"),
+    "reboot_keeps_nothing": _drive("drive", drives.restart(lambda _index: False), "refuses", starts="in brakes"),
+    "boot_up_frame": _wire((AT_SYNC,), wires.of_node(HEARTBEAT, b"\0"), "stops", 2),
+    "nmt_stopped": _drive("drive", drives.enter(STOPPED), "stops", 2),
+    "nmt_preoperational": _drive("drive", drives.enter(PRE_OPERATIONAL), "stops", 2, starts="in motion"),
     # EMCY
-    "emcy": Kind("wire", "stops", 2, "an EMCY message"),
-    "emcy_short": Kind("wire", "stops", 2, "an EMCY message of two bytes"),
-    "emcy_reset": Kind("wire", "goes on", 1, "an EMCY message that reports an error reset"),
-    "emcy_storm": Kind("wire", "stops", 2, "two hundred EMCY messages at once"),
+    "emcy": _wire((AT_SYNC,), wires.emergency(), "stops", 2, code=ENCODER_FAULT),
+    "emcy_short": _wire((AT_SYNC,), wires.emergency(size=2), "stops", 2, code=ENCODER_FAULT),
+    "emcy_reset": _wire((AT_SYNC,), wires.of_node(wires.EMCY, bytes(8)), "goes on", 1),
+    "emcy_storm": _wire((AT_SYNC,), wires.emergency(times=200), "stops", 2, code=ENCODER_FAULT),
     # the drive
-    "drive_fault": Kind("drive", "stops", 2, "the drive goes to FAULT"),
-    "quick_stop": Kind("drive", "stops", 2, "the drive makes a quick stop without a command"),
-    "internal_limit": Kind("wire", "stops", 2, "statusword bit 11 set: internal limit active"),
-    "following_error": Kind("wire", "stops", 2, "statusword bit 13 set: following error"),
-    "safe_torque_off": Kind("drive", "stops", 2, "the safety circuit switches the torque off (STO)"),
-    "not_following": Kind("wire", "stops", 2, "statusword bit 12 cleared: the drive does not follow its target"),
-    "not_remote": Kind("wire", "stops", 2, "statusword bit 9 cleared: local control, the controlword is ignored"),
-    "warning": Kind("wire", "goes on", 1, "statusword bit 7 set: warning"),
-    "brake_engaged": Kind("drive", "stops", 100, "the holding brake closes while the drive is enabled"),
-    "never_settles": Kind("drive", "stops", None, "the position loop oscillates: the axis does not come to rest"),
-    "torque_spike": Kind("wire", "stops", 4, "the torque steps and stays, as on contact"),
+    "drive_fault": _drive("drive", drives.raise_fault, "stops", 2, code=ENCODER_FAULT),
+    "quick_stop": _drive("drive", drives.quick_stop, "stops", 2),
+    "internal_limit": _wire((TPDO1,), wires.status_bit(11, True), "stops", 2, syncs=0),
+    "following_error": _wire((TPDO1,), wires.status_bit(13, True), "stops", 2, syncs=0),
+    "safe_torque_off": _drive("drive", drives.torque_off, "stops", 2),
+    "not_following": _wire((TPDO1,), wires.status_bit(12, False), "stops", 2, starts="in motion", syncs=0),
+    "not_remote": _wire((TPDO1,), wires.status_bit(9, False), "stops", 2, syncs=0),
+    "warning": _wire((TPDO1,), wires.status_bit(7, True), "goes on", 1, syncs=20),
+    "brake_engaged": _drive("mechanics", drives.stick_brake, "stops", 100, starts="in motion"),
+    "never_settles": _drive("mechanics", drives.hunt, "stops", starts="any time"),
+    "torque_spike": _wire((TPDO1,), wires.add_torque, "stops", 4, starts="load taken over", syncs=0, code=1500),
     # values that the drive reports
-    "demand_torque": Kind("drive", "finding", None, "0x6077 reports the torque demand instead of the measured torque"),
-    "unsigned_torque": Kind("drive", "finding", None, "0x6077 reports the torque without its sign"),
-    "heartbeat_ignored": Kind("drive", "finding", None, "the drive keeps running when the master's heartbeat stops"),
-    "wrong_rated": Kind("object", "finding", None, "the rated torque is stored in uNm instead of mNm"),
-    "write_ignored": Kind("object", "refuses", None, "a write of an object (0x6007) is confirmed without effect"),
-    "drive_exchanged": Kind(
-        "object", "goes on", None, "another drive of the same product: serial number, torque limit"
-    ),
-    "rated_zero": Kind("object", "refuses", None, "the rated torque is zero"),
-    "wrong_vendor": Kind("object", "refuses", None, "a drive of another vendor"),
-    "node_missing": Kind("wire", "refuses", None, "no device responds at a node id"),
-    "duplicate_node": Kind("wire", "refuses", None, "two devices with one node id"),
-    "fault_at_start": Kind("drive", "refuses", None, "the drive is in FAULT before the start"),
+    "demand_torque": _drive("drive", drives.show_demand, "finding"),
+    "unsigned_torque": _drive("drive", drives.show_no_sign, "finding"),
+    "heartbeat_ignored": _drive("drive", drives.ignore_heartbeat, "finding"),
+    "wrong_rated": _drive("object", drives.scale_rating(1000), "finding"),  # uNm instead of mNm
+    "write_ignored": _drive("object", drives.ignore_writes, "refuses", index=ABORT_OPTION),
+    "drive_exchanged": _drive("object", drives.exchange, "goes on", starts="between runs", code=0),
+    "rated_zero": _drive("object", drives.scale_rating(0), "refuses"),
+    "wrong_vendor": _drive("object", drives.other_vendor, "refuses", code=0),
+    "node_missing": _drive("drive", drives.lose_power, "refuses"),  # no device with this node id
+    "duplicate_node": _wire((SDO_ANSWER, HEARTBEAT), wires.answer_twice, "refuses", syncs=0),
+    "fault_at_start": _drive("drive", drives.raise_fault, "refuses", code=ENCODER_FAULT),
     # strict slaves: conforming
-    "strict_inhibit": Kind("object", "goes on", None, "inhibit time 10 ms, not writable while the PDO is valid"),
-    "start_refused": Kind("object", "goes on", None, "START is refused until a communication error has cleared"),
-    "cycle_period_set": Kind("object", "goes on", None, "0x1006 is set; a different SYNC period ends OPERATIONAL"),
-    "no_data_abort": Kind("object", "goes on", None, "optional objects are aborted with 'no data available'"),
-    "tpdo3_on": Kind("object", "goes on", None, "TPDO3 is valid at power-up and is sent 5000 times per second"),
-    "foreign_emcy_id": Kind("object", "goes on", None, "0x1014 names another identifier, on which EMCYs are sent"),
+    "strict_inhibit": _drive("object", drives.inhibit_strictly, "goes on"),
+    "start_refused": _drive("object", drives.refuse_start, "goes on", delay_s=0.5),
+    "cycle_period_set": _drive("object", drives.watch_period, "goes on", code=1000),
+    "no_data_abort": _drive("object", drives.have_no_data, "goes on", index=0),
+    "tpdo3_on": _drive("object", drives.flood, "goes on", rate_hz=5000.0),
+    "foreign_emcy_id": _drive("object", drives.foreign_emcy, "goes on", code=0),
     # drives that must not be moved
-    "start_never": Kind("object", "refuses", None, "START is always refused"),
-    "emcy_disabled": Kind("object", "refuses", None, "0x1014 bit 31 set: the drive sends no EMCY"),
-    "estop_pressed": Kind("object", "refuses", None, "the safety circuit is open: 0x60FD bit 24 low, no torque"),
-    "unreferenced": Kind("object", "refuses", None, "the encoder has no reference: 0x60FD bit 25 low"),
-    "coasting_stop": Kind("object", "refuses", None, "0x605A and 0x605E are 0: the axis coasts on a stop"),
-    "no_heartbeat": Kind("object", "refuses", None, "the drive sends no heartbeat, whatever 0x1017 holds"),
-    "never_enables": Kind("object", "stops", None, "the drive stays in SWITCHED ON when it is enabled"),
-    "enables_and_drops": Kind("object", "stops", None, "falls back to SWITCHED ON a few SYNCs after enabling"),
-    "brake_slips": Kind("object", "finding", None, "the axis drops slowly with the brake closed"),
-    "brake_falls": Kind("object", "finding", None, "the brake does not hold the axis after it was opened once"),
+    "start_never": _drive("object", drives.refuse_start, "refuses", delay_s=math.inf),
+    "emcy_disabled": _drive("object", drives.no_emcy, "refuses"),
+    "estop_pressed": _drive("object", drives.open_safety_circuit, "refuses"),
+    "unreferenced": _drive("object", drives.lose_reference, "refuses"),
+    "coasting_stop": _drive("object", drives.coast_on_stops, "refuses", index=0),
+    "no_heartbeat": _drive("object", drives.send_no_heartbeat, "refuses"),
+    "never_enables": _drive("object", drives.never_enable, "stops"),
+    "enables_and_drops": _drive("object", drives.drop_out, "stops", count=3),
+    "brake_slips": _drive("mechanics", drives.slip, "finding", starts="any time", speed_rad_s=0.05),
+    "brake_falls": _drive("mechanics", drives.fall, "finding", accel_rad_s2=5.0),
+    # firmware and brakes that act otherwise than they state
+    "delayed_tpdo": _drive("drive", drives.delay_tpdos, "drive test"),
+    "every_second_sync": _drive("drive", drives.skip_syncs, "drive test"),
+    "old_torque": _drive("drive", drives.delay_torque, "drive test"),
+    "delayed_controlword": _drive("drive", drives.delay_controlwords, "drive test"),
+    "delayed_rpdo": _drive("drive", drives.delay_rpdos, "drive test"),
+    "quick_stop_coasts": _drive("object", drives.act_on({(0x605A, 0): 0}), "drive test"),
+    "fault_coasts": _drive("object", drives.act_on({(0x605E, 0): 0}), "drive test"),
+    "ignores_interpolation": _drive("object", drives.act_on({(0x60C2, 1): 1, (0x60C2, 2): -3}), "drive test"),
+    "slow_brake": _drive("mechanics", drives.close_brake_slowly, "finding"),
     # the bus
-    "second_master_sync": Kind("wire", "stops", 20, "another master sends SYNC"),
-    "second_master_nmt": Kind("wire", "stops", 20, "another master sends NMT commands"),
-    "second_master_sdo": Kind("wire", "stops", 20, "another master reads objects"),
-    "second_master_slow": Kind("wire", "refuses", None, "another master sends a SYNC every 100 ms"),
-    "error_frames": Kind("wire", "goes on", 1, "error frames"),
-    "error_passive": Kind("wire", "goes on", 1, "the CAN controller is error passive"),
-    "bus_off": Kind("wire", "stops", 2, "the CAN controller is bus-off"),
-    "strange_frames": Kind("wire", "goes on", 1, "extended and remote frames of other devices"),
+    "second_master_sync": _wire((AT_SYNC,), wires.of_bus(wires.SYNC, b""), "stops", 20, syncs=0),
+    "second_master_nmt": _wire((AT_SYNC,), wires.of_bus(wires.NMT, b"\x01\x7e"), "stops", 20, syncs=0),
+    "second_master_sdo": _wire(
+        (AT_SYNC,), wires.of_node(wires.SDO_REQUEST, b"\x40\x00\x10" + bytes(5)), "stops", 20, syncs=0
+    ),
+    "second_master_slow": _wire((AT_START,), wires.sync_slowly, "refuses"),
+    "error_frames": _wire((AT_SYNC,), wires.error_frames(0x08, times=5), "goes on", 1, syncs=20),
+    "error_passive": _wire(
+        (AT_SYNC,),
+        wires.error_frames(wires.CONTROLLER_STATE, bytes([0, 0x30, 0, 0, 0, 0, 128, 0])),
+        "goes on",
+        1,
+        syncs=20,
+    ),
+    "bus_off": _wire((AT_SYNC,), wires.error_frames(wires.BUS_OFF), "stops", 2),
+    "strange_frames": _wire((AT_SYNC,), wires.also(wires.strange_frames), "goes on", 1, syncs=20),
     # the master
-    "queue_full": Kind("master", "goes on", 1, "transmit queue full (ENOBUFS) temporarily"),
-    "queue_stays_full": Kind("master", "drives stop", None, "transmit queue full permanently"),
-    "master_killed": Kind("master", "drives stop", None, "the master process is killed (SIGKILL)"),
-    "master_stalled": Kind("master", "drives stop", None, "the master process is suspended for a while (SIGSTOP)"),
-    "disk_full": Kind("master", "kept", None, "the disk of the recording is full"),
+    "queue_full": _master("goes on", 1),  # transmit queue full (ENOBUFS) temporarily
+    "queue_stays_full": _master("drives stop"),  # transmit queue full permanently
+    "master_killed": _master("drives stop"),  # SIGKILL
+    "master_stalled": _master("drives stop"),  # SIGSTOP for a while
+    "disk_full": _master("kept"),  # the disk of the recording
 }
 
-MAX_SYNC = 10**9
-LONGEST_LINE = 500
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One fault of a scenario. A value of 0 selects the default of the kind unless stated otherwise.
-
-    Attributes
-    ----------
-    kind : one of `KINDS`
-    node : node id; 0 = every node, or no node in particular
-    at_sync : SYNC at which the fault starts
-    syncs : duration in SYNCs; 0 = until the end
-    count : maximum number of affected frames, 0 = all; SYNCs until `enables_and_drops` acts
-    delay_s : delay of responses, duration of a burst, or time until a refused START is obeyed [s]
-    index, subindex : object that the fault affects; index 0 = any object of the kind
-    code : EMCY code, SDO abort code, or value of the affected object (0x1006, 0x1014, 0x6072)
-    share : share of frames that are lost at random, 0 to 1
-    rate_hz : rate of a flooding TPDO [Hz]
-    speed_rad_s : speed at which the axis drops with its brake closed [rad/s]
-    accel_rad_s2 : acceleration with which the axis falls with its brake closed [rad/s2]
-    seed : seed of the random choice
-    """
-
-    kind: str
-    node: int = 0
-    at_sync: int = 0
-    syncs: int = 1
-    count: int = 0
-    delay_s: float = 0.0
-    index: int = 0
-    subindex: int = 0
-    code: int = 0
-    share: float = 1.0
-    rate_hz: float = 0.0
-    speed_rad_s: float = 0.0
-    accel_rad_s2: float = 0.0
-    seed: int = 1
-
-    def active(self, sync: int) -> bool:
-        """Return whether the fault is active at SYNC number `sync`."""
-        return sync >= self.at_sync and (self.syncs == 0 or sync < self.at_sync + self.syncs)
-
-    def concerns(self, node: int) -> bool:
-        """Return whether the fault affects this node."""
-        return self.node in (0, node)
-
-
+#: Parameters that every kind has.
+_COMMON = ("node", "at_sync", "syncs", "count", "seed")
 _BOUNDS: dict[str, tuple[type, float, float]] = {
-    "kind": (str, 0, 0),
     "node": (int, 0, 127),
     "at_sync": (int, 0, MAX_SYNC),
     "syncs": (int, 0, MAX_SYNC),
@@ -239,31 +216,31 @@ _BOUNDS: dict[str, tuple[type, float, float]] = {
 }
 
 
-def fault_from_dict(entry: dict[str, Any], where: str = "fault") -> Fault:
-    """Build a fault from the keys of one [[fault]] table.
+def fault_of(kind: object, **parameters: Any) -> Fault:
+    """Return a fault of a kind, with parameters in place of the defaults of its kind.
 
     Raises
     ------
     FaultError
-        A kind or key is unknown, or a value has the wrong type or is out of range.
+        The kind is unknown or one of the master, it has no such parameter, or a value has the wrong type or is out of
+        range.
     """
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise FaultError(f"unknown kind '{kind}' (allowed: {', '.join(KINDS)})")
+    about = KINDS[kind]
+    if about.where == "master":
+        raise FaultError(f"'{kind}' is a fault of the master, which the simulator cannot inject")
+    known = {*_COMMON, *about.defaults} | ({"subindex"} if "index" in about.defaults else set())
     values: dict[str, Any] = {}
-    for key, value in entry.items():
-        if key not in _BOUNDS:
-            raise FaultError(f"{where}: unknown key '{key}' (allowed: {', '.join(_BOUNDS)})")
-        kind, low, high = _BOUNDS[key]
-        wrong = isinstance(value, bool) or not isinstance(value, (int, float) if kind is float else kind)
-        if wrong or kind is not str and not low <= value <= high:
-            raise FaultError(
-                f"{where}: {key} = {value!r} is not allowed (expected: {kind.__name__} in {low} .. {high})"
-            )
-        values[key] = kind(value)
-    name = values.get("kind")
-    if name not in KINDS:
-        raise FaultError(f"{where}: unknown kind '{name}' (allowed: {', '.join(KINDS)})")
-    if KINDS[name].where == "master":
-        raise FaultError(f"{where}: '{name}' is a fault of the master, which the simulator cannot inject")
-    return Fault(**values)
+    for key, value in parameters.items():
+        if key not in known:
+            raise FaultError(f"unknown key '{key}' of '{kind}' (allowed: {', '.join(sorted(known))})")
+        type_, low, high = _BOUNDS[key]
+        wrong = isinstance(value, bool) or not isinstance(value, (int, float) if type_ is float else type_)
+        if wrong or not low <= value <= high:
+            raise FaultError(f"{key} = {value!r} is not allowed (expected: {type_.__name__} in {low} .. {high})")
+        values[key] = type_(value)
+    return Fault(kind, **{**about.defaults, **values})
 
 
 def parse_faults(text: str, where: str = "scenario") -> tuple[Fault, ...]:
@@ -272,7 +249,7 @@ def parse_faults(text: str, where: str = "scenario") -> tuple[Fault, ...]:
     Raises
     ------
     FaultError
-        The text is not TOML, or a fault is not valid (`fault_from_dict`).
+        The text is not TOML, or a fault is not valid (`fault_of`).
     """
     if any(len(line) > LONGEST_LINE for line in text.splitlines()):
         raise FaultError(f"{where}: a line is longer than {LONGEST_LINE} characters")
@@ -283,13 +260,35 @@ def parse_faults(text: str, where: str = "scenario") -> tuple[Fault, ...]:
     entries = tables.pop("fault", [])
     if tables or not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise FaultError(f"{where}: a scenario may only contain [[fault]] tables")
-    tables_of_faults = cast(list[dict[str, Any]], entries)
-    return tuple(fault_from_dict(entry, f"{where}: fault {number}") for number, entry in enumerate(tables_of_faults, 1))
+    faults: list[Fault] = []
+    for number, entry in enumerate(cast(list[dict[str, Any]], entries), 1):
+        try:
+            faults.append(fault_of(**({"kind": None} | entry)))
+        except FaultError as error:
+            raise FaultError(f"{where}: fault {number}: {error}") from error
+    return tuple(faults)
 
 
-def read_faults(path: Path) -> tuple[Fault, ...]:
-    """Read the faults of a scenario file."""
+def read_faults(wanted: str | Path) -> tuple[Fault, ...]:
+    """Return the faults that are wanted: [NODE:]NAME for one kind with its defaults, else a scenario file.
+
+    Raises
+    ------
+    FaultError
+        The kind is unknown, or the file cannot be read or is not valid.
+    """
+    named = re.fullmatch(r"(?:(\d+):)?(\w+)", str(wanted))
+    if named is not None and (named[1] or named[2] in KINDS):
+        return (fault_of(named[2], node=int(named[1] or 0)),)
     try:
-        return parse_faults(path.read_text(encoding="utf-8"), str(path))
+        return parse_faults(Path(wanted).read_text(encoding="utf-8"), str(wanted))
     except (OSError, UnicodeDecodeError) as error:
-        raise FaultError(f"{path}: cannot be read: {error}") from error
+        raise FaultError(f"{wanted}: not [NODE:]NAME of a fault, and as a file it cannot be read: {error}") from error
+
+
+def act(drives: Iterable[FakeDrive], fault: Fault) -> None:
+    """Carry out a fault inside every drive that it concerns."""
+    hook = KINDS[fault.kind].hook
+    for drive in drives:
+        if hook is not None and fault.concerns(drive.node_id):
+            hook(drive, fault)

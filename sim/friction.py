@@ -60,10 +60,6 @@ class JointFriction:
         self._middle = 0.5 * (1.0 / efficiency + efficiency)
         self._spread = 0.5 * (1.0 / efficiency - efficiency)
 
-    def half_width_nm(self, u_nm: float, tau_nm: float) -> float:
-        """Half-width of the band at rest [Nm] for motor torque `u_nm` and transmitted torque `tau_nm`, joint side."""
-        return abs(u_nm) * self._spread + self.load_friction * abs(tau_nm) + self.stiction_nm
-
     def speed(self, omega_rad_s: float, u_nm: float, tau_nm: float, step: float) -> float:
         """Speed after one step under motor torque, transmitted torque and friction.
 

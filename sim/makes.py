@@ -7,12 +7,10 @@ profiles detects.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from sim.cellfile import AxisSpec
-from sim.quirks import Quirks
 from sim.scaled_objects import DriveUnits, Word
 
 Make = Callable[[AxisSpec, DriveUnits], DriveUnits]
@@ -106,14 +104,7 @@ LACKING: dict[str, frozenset[int]] = {
     "schunk-lwa4p": frozenset({0x6007}),
 }
 #: Modes (0x6502) of those that lack one: the PRBT has 1, 2 and 7.
-SUPPORTED_MODES = {"pilz-prbt": 0x43}
-
-
-def as_made(profile: Mapping[str, Any]) -> Quirks:
-    """Return the quirks that a drive of a profile has by design, such as objects without data."""
-    name = str(profile.get("name"))
-    modes = SUPPORTED_MODES.get(name)
-    return Quirks(without_data=LACKING.get(name, frozenset()), values={} if modes is None else {(0x6502, 0): modes})
+SUPPORTED_MODES: dict[str, int] = {"pilz-prbt": 0x43}
 
 
 #: Name of the profile -> how its make counts.

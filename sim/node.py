@@ -32,7 +32,7 @@ SdoFilter = Callable[[int, int], int | None]
 class SlaveSdoServer(SdoServer):
     """SDO server: expedited and segmented, one transfer at a time.
 
-    `refuse` is called before each access: an abort code instead of an answer, -1 for no answer, None to continue.
+    `refuse` is called before each access: an abort code instead of an answer, or None to continue.
     """
 
     def __init__(self, rx_cobid: int, tx_cobid: int, node: SlaveNode) -> None:
@@ -50,8 +50,7 @@ class SlaveSdoServer(SdoServer):
             self._index, self._subindex = data[1] | data[2] << 8, data[3]
             refusal = self.refuse(self._index, self._subindex)
             if refusal is not None:
-                if refusal >= 0:
-                    self.abort(refusal)
+                self.abort(refusal)
                 return
             self._transfer = {0x20: "" if data[0] & 0x02 else "down", 0x40: "up", 0xA0: "up"}.get(kind, "")
         elif (kind == 0x60 and self._transfer != "up") or (kind == 0x00 and self._transfer != "down"):
@@ -104,7 +103,6 @@ class SlaveNode(canopen.LocalNode):
     on_heartbeat_lost : called with the node whose heartbeat stopped
     on_heartbeat_resumed : called at the first heartbeat after a loss
     may_start : asked before START is obeyed
-    mute : never sends a heartbeat
     """
 
     def __init__(self, node_id: int, store: ObjectStore) -> None:
@@ -126,7 +124,6 @@ class SlaveNode(canopen.LocalNode):
         self.on_heartbeat_resumed: Callable[[], None] = lambda: None
         self._heartbeat_error = False
         self.may_start: Callable[[], bool] = lambda: True
-        self.mute = False
 
     # --------------------------------------------------------------------------------------------- object dictionary
 
@@ -200,7 +197,7 @@ class SlaveNode(canopen.LocalNode):
     def keep_time(self, simulated_s: float, wall_s: float) -> None:
         """Send the heartbeat when it is due in simulated or real time, whichever is first."""
         period = self.store.number((0x1017, 0)) * 1e-3
-        if not period or self.mute or self.state == INITIALISING:
+        if not period or self.state == INITIALISING:
             return
         now = {"simulated": simulated_s, "wall": wall_s}
         if not self._beat_s or any(now[clock] - at >= period for clock, at in self._beat_s.items()):

@@ -7,73 +7,42 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim.request import Array, PointJacobian, Request, Transform, add_passive, add_reading
+from sim.request import Array, Request, Transform, add_passive, passive_on, reading_on
 
 
 def hardening_cable(request: Request) -> Transform:
     """A pack that is clamped in three places: torque `-amplitude cos(3 q + phase)` on one axis."""
     axis, amplitude, phase = request.axis(), request.number("amplitude_nm"), request.number("phase_rad", 0.0)
-
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        out = np.zeros_like(q_rad)
-        out[axis] = -amplitude * math.cos(3.0 * q_rad[axis] + phase)
-        return out
-
-    return lambda plant: add_passive(plant, torque)
+    return passive_on(axis, lambda q: -amplitude * math.cos(3.0 * q[axis] + phase))
 
 
 def end_stop_buffer(request: Request) -> Transform:
     """A rubber buffer that is touched beyond `angle_rad`: torque grows with the square of the penetration."""
     axis, stiffness, angle = request.axis(), request.number("stiffness_nm_rad2"), request.number("angle_rad", 0.0)
-
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        out = np.zeros_like(q_rad)
-        out[axis] = -stiffness * max(q_rad[axis] - angle, 0.0) ** 2
-        return out
-
-    return lambda plant: add_passive(plant, torque)
+    return passive_on(axis, lambda q: -stiffness * max(q[axis] - angle, 0.0) ** 2)
 
 
 def linkage_spring(request: Request) -> Transform:
     """A spring between the upper arm's parallel link and the forearm: acts on axis 3 by the angle q2 + q3 + phase."""
     stiffness, phase = request.number("stiffness_nm"), request.number("phase_rad", 0.0)
-
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        out = np.zeros_like(q_rad)
-        out[2] = -stiffness * math.sin(2.0 * (q_rad[1] + q_rad[2]) + phase)
-        return out
-
-    return lambda plant: add_passive(plant, torque)
+    return passive_on(2, lambda q: -stiffness * math.sin(2.0 * (q[1] + q[2]) + phase))
 
 
 def saturating_motor(request: Request) -> Transform:
     """Iron saturates: the reading of one axis exceeds the torque by `coefficient * |u| / reference_nm`."""
-    axis = request.axis()
     coefficient, reference = request.number("coefficient"), request.number("reference_nm")
-
-    def error(_q_rad: Array, torque_nm: Array) -> Array:
-        out = np.zeros_like(torque_nm)
-        out[axis] = coefficient * torque_nm[axis] * abs(torque_nm[axis]) / reference
-        return out
-
-    return lambda plant: add_reading(plant, error)
+    return reading_on(request.axis(), lambda _q, u: coefficient * u * abs(u) / reference)
 
 
 def eccentric_gear(request: Request) -> Transform:
     """The transmission ratio swings once per turn of the joint: reading error `coefficient * u * cos(q + phase)`."""
-    axis, coefficient, phase = request.axis(), request.number("coefficient"), request.number("phase_rad", 0.0)
-
-    def error(q_rad: Array, torque_nm: Array) -> Array:
-        out = np.zeros_like(q_rad)
-        out[axis] = coefficient * torque_nm[axis] * math.cos(q_rad[axis] + phase)
-        return out
-
-    return lambda plant: add_reading(plant, error)
+    coefficient, phase = request.number("coefficient"), request.number("phase_rad", 0.0)
+    return reading_on(request.axis(), lambda q, u: coefficient * u * math.cos(q + phase))
 
 
-def world_hose(request: Request, jacobian: PointJacobian) -> Transform:
+def world_hose(request: Request) -> Transform:
     """A hose that pulls a point of one link with a constant force in a fixed direction of the base frame."""
-    link, point = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0))
+    link, point, jacobian = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0)), request.jacobian()
     force = request.vector("force_n", (0.0, 0.0, 0.0))
 
     def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
@@ -82,9 +51,9 @@ def world_hose(request: Request, jacobian: PointJacobian) -> Transform:
     return lambda plant: add_passive(plant, torque)
 
 
-def bungee(request: Request, jacobian: PointJacobian) -> Transform:
+def bungee(request: Request) -> Transform:
     """An elastic cord from a fixed point of the cell to a point of one link; slack below its free length."""
-    link, point = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0))
+    link, point, jacobian = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0)), request.jacobian()
     hook, stiffness = request.vector("hook_m", (0.0, 0.0, 0.0)), request.number("stiffness_n_m")
     free = request.number("free_length_m", 0.0)
 
@@ -103,8 +72,6 @@ OFF_LIBRARY: dict[str, Callable[[Request], Transform]] = {
     "linkage_spring": linkage_spring,
     "saturating_motor": saturating_motor,
     "eccentric_gear": eccentric_gear,
-}
-OFF_LIBRARY_WITH_GEOMETRY: dict[str, Callable[[Request, PointJacobian], Transform]] = {
     "world_hose": world_hose,
     "bungee": bungee,
 }

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from sim.plant import Plant
-from sim.request import Array, EffectError, Request, Transform, add_reading, changed
+from sim.request import Array, EffectError, Request, Transform, altered, changed, reading_on
 
 WARM_UP_K = 30.0
 WARM_UP_TIME_S = 1800.0
@@ -25,17 +25,13 @@ def torque_constant_scale(request: Request) -> Transform:
     if scale <= 0:
         raise EffectError(f"effect {request.name}: scale must be positive, got {scale}")
     which = slice(None) if not request.joints else request.axis()
-    return lambda plant: replace(
-        plant, torque_constant_scale=changed(plant.torque_constant_scale, which, lambda value: value * scale)
-    )
+    return altered("torque_constant_scale", which, lambda value: value * scale)
 
 
 def torque_offset(request: Request) -> Transform:
     """Add a constant offset to the current reading of one drive."""
-    axis, offset = request.axis(), request.number("offset_nm")
-    return lambda plant: replace(
-        plant, reading_offset_nm=changed(plant.reading_offset_nm, axis, lambda value: value + offset)
-    )
+    offset = request.number("offset_nm")
+    return altered("reading_offset_nm", request.axis(), lambda value: value + offset)
 
 
 def thermal_drift(request: Request) -> Transform:
@@ -73,15 +69,9 @@ def warm_up(time_s: float, axes: int = 6) -> Array:
 
 def torque_ripple(request: Request) -> Transform:
     """Add a torque ripple to the reading of one axis, with `per_revolution` periods per joint revolution."""
-    axis, amplitude = request.axis(), request.number("amplitude_nm")
+    amplitude = request.number("amplitude_nm")
     periods, phase = request.number("per_revolution"), request.number("phase_rad", 0.0)
-
-    def error(q_rad: Array, _torque_nm: Array) -> Array:
-        swing = np.zeros_like(q_rad)
-        swing[axis] = amplitude * math.sin(periods * q_rad[axis] + phase)
-        return swing
-
-    return lambda plant: add_reading(plant, error)
+    return reading_on(request.axis(), lambda q, _u: amplitude * math.sin(periods * q + phase))
 
 
 def axis_coupling(request: Request) -> Transform:
@@ -104,8 +94,7 @@ def axis_coupling(request: Request) -> Transform:
 
 def sign_reversed(request: Request) -> Transform:
     """Reverse the sign of the reported torque of one axis."""
-    axis = request.axis()
-    return lambda plant: replace(plant, torque_sign=changed(plant.torque_sign, axis, lambda value: -value))
+    return altered("torque_sign", request.axis(), lambda value: -value)
 
 
 def axes_swapped(request: Request) -> Transform:
@@ -126,6 +115,4 @@ def current_rms_peak(request: Request) -> Transform:
     """The drive's ampere is a peak value where an rms value is expected (factor sqrt 2), or the reverse."""
     which = slice(None) if not request.joints else request.axis()
     factor = request.number("factor", math.sqrt(2.0))
-    return lambda plant: replace(
-        plant, current_factor=changed(plant.current_factor, which, lambda value: value * factor)
-    )
+    return altered("current_factor", which, lambda value: value * factor)

@@ -29,11 +29,13 @@ class Request:
     name : name of the effect
     joints : joints counted from 1; empty for the base and the load
     parameters : SI values by name
+    geometry : (q_rad (N,), link from 0, point (3,) in the link's frame) -> position (3,) and Jacobian (3, N)
     """
 
     name: str
     joints: tuple[int, ...]
     parameters: Mapping[str, object]
+    geometry: PointJacobian | None = None
 
     def number(self, key: str, default: float | None = None) -> float:
         """Return one numeric parameter or its default; without a default it is required."""
@@ -51,6 +53,12 @@ class Request:
             raise EffectError(f"effect {self.name}: parameter {key} must hold three finite numbers")
         return value
 
+    def jacobian(self) -> PointJacobian:
+        """Return the geometry of the arm, for an effect that acts between it and its surroundings."""
+        if self.geometry is None:
+            raise EffectError(f"effect {self.name} needs the geometry of the arm")
+        return self.geometry
+
     def axis(self) -> int:
         """Return the index (from 0) of the effect's only joint."""
         if len(self.joints) != 1:
@@ -63,6 +71,11 @@ def changed(values: Array, index: int | slice, change: Callable[[Array], Array |
     copy = np.array(values, dtype=float)
     copy[index] = change(copy[index])
     return copy
+
+
+def altered(name: str, index: int | slice, change: Callable[[Array], Array | float]) -> Transform:
+    """Return the transform that changes one value (or all) of a field of the plant."""
+    return lambda plant: replace(plant, **{name: changed(getattr(plant, name), index, change)})
 
 
 def add_passive(plant: Plant, torque: Callable[[Array, float, Array], Array]) -> Plant:
@@ -79,3 +92,25 @@ def add_reading(plant: Plant, error: Callable[[Array, Array], Array]) -> Plant:
     if earlier is None:
         return replace(plant, reading_ripple=error)
     return replace(plant, reading_ripple=lambda q, u: earlier(q, u) + error(q, u))
+
+
+def passive_on(axis: int, torque: Callable[[Array], float]) -> Transform:
+    """Return the transform that adds a torque on one joint, a function of the joint angles."""
+
+    def on_axis(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        out = np.zeros_like(q_rad)
+        out[axis] = torque(q_rad)
+        return out
+
+    return lambda plant: add_passive(plant, on_axis)
+
+
+def reading_on(axis: int, error: Callable[[float, float], float]) -> Transform:
+    """Return the transform that adds an error to the reading of one axis, a function of its angle and torque."""
+
+    def on_axis(q_rad: Array, torque_nm: Array) -> Array:
+        out = np.zeros_like(q_rad)
+        out[axis] = error(q_rad[axis], torque_nm[axis])
+        return out
+
+    return lambda plant: add_reading(plant, on_axis)

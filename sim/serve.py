@@ -161,7 +161,6 @@ def command(cell_path: Path, options: ServeOptions) -> list[str]:
         "--payload": options.payload,
         "--undeclared": options.undeclared,
         "--seed": options.seed,
-        "--fault": options.fault,
         "--truth": options.truth,
         "--pacing": options.pacing,
         "--timing": options.timing,
@@ -169,8 +168,8 @@ def command(cell_path: Path, options: ServeOptions) -> list[str]:
     for key, value in pairs.items():
         if value is not None:
             words += [key, str(value)]
-    for text in options.defect:
-        words += ["--defect", text]
+    for wanted in options.fault:
+        words += ["--fault", str(wanted)]
     return [*words, "--unbuffered"] if options.unbuffered else words
 
 

@@ -23,7 +23,7 @@ import canopen
 import numpy as np
 
 from sim.cellfile import ArmSpec
-from sim.fake_drive import DriveSite, FakeDrive
+from sim.fake_drive import FakeDrive
 from sim.measuring import FakeMeasuringDevice
 from sim.node import SlaveNode
 from sim.pdo import Pdo
@@ -67,9 +67,7 @@ class ArmUnit:
         coupled = not np.array_equal(arm.coupling, np.eye(len(arm.axes)))
         self.drives = [
             FakeDrive(
-                DriveSite(arm.axes[axis].node_id, arm.axes[joint], sync_period_s, not coupled),
-                self.world.axes[joint],
-                self._send,
+                arm.axes[axis].node_id, arm.axes[joint], self.world.axes[joint], sync_period_s, self._send, not coupled
             )
             for axis, joint in enumerate(self._joints)
         ]

@@ -13,11 +13,9 @@ import can
 
 from sim.build_errors import with_build_errors
 from sim.cellfile import CellBus, CellFileError, CellSpec, parse_bus_spec, read_cell, read_payloads, read_toml
-from sim.drive_defects import install_defects
-from sim.drive_faults import act
 from sim.effects import apply_effects
-from sim.faults import Fault, read_faults
-from sim.faulty_wire import FaultyWire
+from sim.fault import Fault
+from sim.faults import KINDS, FaultError, act, read_faults
 from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
 from sim.offline import point_jacobian
@@ -28,6 +26,7 @@ from sim.plant import Payload
 from sim.server import ArmUnit, BusServer, can_be_waited_for, serve_together
 from sim.timing_record import TimingRecord
 from sim.undeclared import draw_undeclared
+from sim.wire_faults import FaultyWire
 
 NOISE_SEED = 1
 #: Between the seeds of two arms of one cell.
@@ -52,11 +51,10 @@ class ServeOptions:
     payload : file of loads that can be mounted on the flange
     undeclared : file of undeclared effects; `build_errors = SEED` in it draws build errors beside
     seed : draw build errors, and an effect, none or two instead
-    fault : fault scenario
+    fault : faults, each [NODE:]NAME or a scenario file (`sim.faults`)
     truth : where the truth is written at start
     pacing : "lockstep" or "real" in place of every bus's own
     unbuffered : in real time, each target is taken over when it arrives instead of at a tick of the drive's own clock
-    defect : defects of drives, each NODE:NAME (`sim.drive_defects`)
     timing : where frames and motion of the drives are written at the end (`sim.timing_record`)
     noise_seed : seed of noise and of the scatter of friction in place of `seed`; None = `seed`, or always the same
     """
@@ -65,11 +63,10 @@ class ServeOptions:
     payload: Path | None = None
     undeclared: Path | None = None
     seed: int | None = None
-    fault: Path | None = None
+    fault: tuple[str | Path, ...] = ()
     truth: Path | None = None
     pacing: str | None = None
     unbuffered: bool = False
-    defect: tuple[str, ...] = ()
     timing: Path | None = None
     noise_seed: int | None = None
 
@@ -92,7 +89,8 @@ class Simulation:
         self.loads: dict[str, Payload] = read_payloads(options.payload) if options.payload else {}
         self.effects, self._build_seed = _undeclared(options)
         self._options = options
-        faults = read_faults(options.fault) if options.fault else ()
+        faults = [fault for wanted in options.fault for fault in read_faults(wanted)]
+        _check_nodes(faults, self.cell)
         units = self._units(pair or PairOptions(options.seed))
         reported: list[Any] = [
             unit.world.undeclared for unit in list[Any](units.values()) if isinstance(unit, PairUnit)
@@ -107,7 +105,6 @@ class Simulation:
                 arms = [units[arm.name] for arm in self.cell.arms if arm.bus == name]
                 if arms:
                     self.servers.append(_server(spec, arms, faults, opened))
-            install_defects((drive for server in self.servers for drive in server.drives), options.defect)
             opened.pop_all()
         self.records = [] if options.timing is None else [TimingRecord(server) for server in self.servers]
         for server in self.servers if options.unbuffered else ():
@@ -268,15 +265,22 @@ def open_bus(spec: CellBus) -> can.BusABC | QuietMulticastBus:
         raise SimulationBusError(f"bus {spec.interface}:{spec.channel} cannot be opened: {error}") from error
 
 
-def _server(spec: CellBus, arms: list[ArmUnit], faults: tuple[Fault, ...], opened: ExitStack) -> BusServer:
+def _check_nodes(faults: list[Fault], cell: CellSpec) -> None:
+    nodes = sorted({axis.node_id for arm in cell.arms for axis in arm.axes})
+    for fault in faults:
+        if fault.node not in (0, *nodes):
+            raise FaultError(f"fault '{fault.kind}': no drive has node {fault.node} (drives: {nodes})")
+
+
+def _server(spec: CellBus, arms: list[ArmUnit], faults: list[Fault], opened: ExitStack) -> BusServer:
     bus: Any = open_bus(spec)
     opened.callback(bus.shutdown)
     if not faults:
         return BusServer(bus, arms, spec.sync_period_s, spec.pacing)
-    wire = FaultyWire(bus)
+    wire = FaultyWire(bus, KINDS)
     wire.period_s, wire.real = spec.sync_period_s, spec.pacing == "real"
     server = BusServer(wire, arms, spec.sync_period_s, spec.pacing)
-    wire.act = lambda fault: act(server, fault)
+    wire.act = lambda fault: act(server.drives, fault)
     for fault in faults:
         wire.arm(fault)
     return server

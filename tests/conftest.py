@@ -94,7 +94,6 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
     report = yield
     if call.when == "call":
         spent_s = item.config.stash[STOPWATCH].spent_s()
-        report.user_properties.append(("processor_time_s", spent_s))
         if spent_s > FAST_LIMIT_S and not _may_be_slow(item):
             report.user_properties.append(("too_slow_s", spent_s))
     return report

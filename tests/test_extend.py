@@ -42,8 +42,8 @@ from dataclasses import replace
 from gateway.estimate.joint import estimate_joint
 
 
-def estimate_twice(visits, robot, options):
-    found = estimate_joint(visits, robot, options)
+def estimate_twice(visits, robot, knowledge):
+    found = estimate_joint(visits, robot, knowledge)
     return replace(found, method="twice")
 '''
 ADAPTER = '''
@@ -87,8 +87,8 @@ def test_an_estimator_is_one_file_and_one_line(repository, tmp_path):
     repository.add("gateway/estimate/twice.py", ESTIMATOR)
     repository.change(
         "gateway/estimate/__init__.py",
-        '    "coefficient": estimate_coefficient,\n',
-        '    "coefficient": estimate_coefficient,\n    "twice": _of_visits(estimate_twice),\n',
+        '    "posture": _of_visits(estimate_posture),\n',
+        '    "posture": _of_visits(estimate_posture),\n    "twice": _of_visits(estimate_twice),\n',
     )
     repository.change(
         "gateway/estimate/__init__.py",

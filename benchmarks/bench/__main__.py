@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import sys
 from pathlib import Path
 
-from benchmarks.figure import show
+from benchmarks.figure import conclude
 
 PARTS = ("regressor", "estimation", "wire")
 
@@ -25,10 +24,7 @@ def main(argv: list[str]) -> int:
     figures: dict[str, dict] = {}
     for part in arguments.parts or PARTS:
         figures |= importlib.import_module(f"benchmarks.bench.{part}").figures()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
-    show(figures)
-    return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
+    return conclude(figures, arguments.out)
 
 
 if __name__ == "__main__":

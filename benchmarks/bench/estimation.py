@@ -15,10 +15,12 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
-from gateway.acquire.poses import PoseRequest, choose_poses
+from benchmarks.figure import figure
+from gateway.acquire.poses import choose_poses
 from gateway.cell.config import load_cell
 from gateway.data.rows import Table
-from gateway.estimate import ESTIMATORS, EstimateOptions
+from gateway.estimate import ESTIMATORS
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.arm_model import arm_robot
 from gateway.model.robot import Robot, robot_from_urdf
@@ -90,18 +92,18 @@ def _gaussian() -> dict[str, dict]:
     for seed in range(GAUSSIAN_ARMS):
         case = _GaussianCase(seed)
         for _ in range(GAUSSIAN_EACH):
-            value, std = _four(_joint(case.table(), case.robot, EstimateOptions(gain_std=EXACT)).loads[0])
+            value, std = _four(_joint(case.table(), case.robot, Knowledge(link_std=np.inf, gain_std=EXACT)).loads[0])
             error = value - case.truth
             squares.append((error / case.bound) ** 2)
             inside.append(np.abs(error) < 1.959964 * std)
     out = {}
     for k, name in enumerate(_NAMES):
         out[f"Gaussian tables, variance of {name} over the Cramer-Rao bound"] = _mean(
-            np.array(squares)[:, k], "<= 1.05", lambda value: value <= 1.05
+            np.array(squares)[:, k], "<= 1.05"
         )
     for k, name in enumerate(_NAMES):
         out[f"Gaussian tables, 95 % intervals of {name} that hold the truth"] = _share(
-            np.array(inside)[:, k], "94 to 96 %", lambda value: 94.0 <= value <= 96.0
+            np.array(inside)[:, k], "94 .. 96"
         )
     return out
 
@@ -168,16 +170,16 @@ def _stiction() -> dict[str, dict]:
         arm = draw.draw_arm(rng)
         poses = draw.choose_poses(arm, POSES, rng)
         columns = measure(arm.chain, arm.plant, _visits(poses), arm.loads, arm.protocol, rng)
-        options = EstimateOptions(inertials="prior:0.05", efficiency=tuple(arm.efficiency.tolist()), gain_std=EXACT)
+        options = Knowledge(link_std=0.05, efficiency=tuple(arm.efficiency.tolist()), gain_std=EXACT)
         found = _joint(table_of(columns), robot_from_urdf(arm.urdf, "drawn.urdf"), options)
         tool = arm.loads["tool"]
         value, std = _four(found.loads[0])
         inside.append(np.abs(value - np.concatenate([[tool.mass_kg], tool.com_m])) < 1.959964 * std)
     hits = np.array(inside)
     return {
-        "stiction tables, 95 % intervals of mass that hold the truth": _share(hits[:, 0], "92 to 98 %", _calibrated),
+        "stiction tables, 95 % intervals of mass that hold the truth": _share(hits[:, 0], "92 .. 98"),
         "stiction tables, 95 % intervals of com that hold the truth": _share(
-            hits[:, 1:].ravel(), "92 to 98 %", _calibrated, len(hits)
+            hits[:, 1:].ravel(), "92 .. 98", len(hits)
         ),
     }
 
@@ -186,10 +188,6 @@ def _visits(poses: Floats) -> list[PlannedVisit]:
     """Every pose bare, then every pose with the tool."""
     bare = [PlannedVisit(k, "none", 25.0 * k, q) for k, q in enumerate(poses)]
     return bare + [PlannedVisit(k, "tool", 2000.0 + 25.0 * k, q) for k, q in enumerate(poses)]
-
-
-def _calibrated(value: float) -> bool:
-    return 92.0 <= value <= 98.0
 
 
 # ---------------------------------------------------------------- cells of 70 kg
@@ -202,15 +200,15 @@ def _cells() -> dict[str, dict]:
     spec = read_cell(CELL).arms[0]
     plant = plant_of(spec)
     workspace = workspace_of(config, robot)
-    request = PoseRequest(POSES, 0, loaded.cell.poses.approach_offset_rad, 0)
+    offset_rad = loaded.cell.poses.approach_offset_rad
     noise = assumed_noise_nm(workspace)
     plans = [
-        np.array([pose.q_rad for pose in choose_poses(workspace, replace(request, seed=seed), noise)])
+        np.array([pose.q_rad for pose in choose_poses(workspace, POSES, 0, offset_rad, seed, noise)])
         for seed in range(PLANS)
     ]
     efficiency = np.array([axis.gear_efficiency.value for axis in config.axis])
-    options = EstimateOptions(
-        inertials=config.inertials,
+    options = Knowledge(
+        link_std=config.link_std,
         gravity_m_s2=config.gravity_m_s2,
         efficiency=tuple(efficiency.tolist()),
         gain_std=EXACT,
@@ -229,9 +227,7 @@ def _cells() -> dict[str, dict]:
     return {
         "cells of 70 kg, median error of the mass": _median(mass, "%", 1.0),
         "cells of 70 kg, median error of the centre of mass": _median(com, "mm", 5.0),
-        "cells of 70 kg, 95 % intervals that hold the truth": _share(
-            np.array(hits).ravel(), "92 to 98 %", _calibrated, CELLS
-        ),
+        "cells of 70 kg, 95 % intervals that hold the truth": _share(np.array(hits).ravel(), "92 .. 98", CELLS),
     }
 
 
@@ -246,36 +242,22 @@ def _links_off(robot: Robot, rng: np.random.Generator) -> dict[str, Floats]:
 # ---------------------------------------------------------------- figures
 
 
-def _mean(values: Floats, goal: str, met: Any) -> dict:
+def _mean(values: Floats, goal: str) -> dict:
     value, half = float(values.mean()), 1.96 * float(values.std() / np.sqrt(len(values)))
-    return {"value": value, "interval": [value - half, value + half], "unit": "x", "goal": goal, "met": met(value)}
+    return figure(value, goal, "x", (value - half, value + half))
 
 
-def _share(hits: Floats, goal: str, met: Any, independent: int | None = None) -> dict:
+def _share(hits: Floats, goal: str, independent: int | None = None) -> dict:
     """Share in percent; the interval counts `independent` trials (all of them if not given)."""
     count = len(hits) if independent is None else independent
     share = float(np.mean(hits))
     half = 1.96 * float(np.sqrt(max(share * (1 - share), 1e-4) / count))
-    value = 100.0 * share
-    return {
-        "value": value,
-        "interval": [value - 100 * half, value + 100 * half],
-        "unit": "%",
-        "goal": goal,
-        "met": met(value),
-    }
+    return figure(100.0 * share, goal, "%", (100.0 * (share - half), 100.0 * (share + half)))
 
 
 def _median(values: Floats, unit: str, most: float) -> dict:
     ordered = np.sort(values)
     n = len(ordered)
     reach = int(np.ceil(0.98 * np.sqrt(n)))
-    value = float(np.median(ordered))
     low, high = ordered[max(n // 2 - reach, 0)], ordered[min(n // 2 + reach, n - 1)]
-    return {
-        "value": value,
-        "interval": [float(low), float(high)],
-        "unit": unit,
-        "goal": f"<= {most:g}",
-        "met": value <= most,
-    }
+    return figure(float(np.median(ordered)), f"<= {most:g}", unit, (float(low), float(high)))

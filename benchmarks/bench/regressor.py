@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 
+from benchmarks.figure import figure
 from gateway.model.regressor import gravity_regressor, regressor
 from gateway.model.robot import robot_from_urdf
 
@@ -64,12 +65,7 @@ def figures() -> dict[str, dict]:
         "regressor 6 x 24, time over a plain fill": _limit(seconds["rest"], seconds["fill rest"]),
         "regressor 6 x 60, rows per second": _rate(seconds["full"]),
         "regressor 6 x 24, rows per second": _rate(seconds["rest"]),
-        "regressor, difference to pinocchio": {
-            "value": float(max(error, rest_error)),
-            "unit": "relative",
-            "goal": "<= 1e-9",
-            "met": bool(max(error, rest_error) <= 1e-9),
-        },
+        "regressor, difference to pinocchio": figure(float(max(error, rest_error)), "<= 1e-9", "relative"),
         **_memory(robot, q, qd, qdd),
     }
 
@@ -88,23 +84,15 @@ def _timed(work: dict[str, Callable[[], object]]) -> dict[str, np.ndarray]:
 
 def _ratio(peer: np.ndarray, own: np.ndarray, goal: float) -> dict:
     ratio = peer / own
-    value = float(np.median(ratio))
-    low, high = np.quantile(ratio, [0.25, 0.75])
-    return {
-        "value": value,
-        "interval": [float(low), float(high)],
-        "unit": "x",
-        "goal": f">= {goal}",
-        "met": value >= goal,
-    }
+    return figure(float(np.median(ratio)), f">= {goal}", "x", np.quantile(ratio, [0.25, 0.75]).tolist())
 
 
 def _limit(own: np.ndarray, fill: np.ndarray) -> dict:
-    return {"value": float(np.median(own / np.maximum(fill, 1e-9))), "unit": "x", "goal": "printed", "met": None}
+    return figure(float(np.median(own / np.maximum(fill, 1e-9))), unit="x")
 
 
 def _rate(own: np.ndarray) -> dict:
-    return {"value": float(ROWS / np.median(own)), "unit": "1/s", "goal": "printed", "met": None}
+    return figure(float(ROWS / np.median(own)), unit="1/s")
 
 
 def _memory(robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> dict[str, dict]:
@@ -116,19 +104,7 @@ def _memory(robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> dict[str, 
         regressor(robot, q[:count], qd[:count], qdd[:count], out=out)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    share = peaks[1] / (ROWS * 6 * 60 * 8)
-    growth = peaks[1] / peaks[0]
     return {
-        "regressor, memory beyond the result": {
-            "value": share,
-            "unit": "of result",
-            "goal": "<= 1",
-            "met": share <= 1.0,
-        },
-        "regressor, growth of that memory with five times the rows": {
-            "value": growth,
-            "unit": "x",
-            "goal": "<= 5",
-            "met": growth <= 5.0,
-        },
+        "regressor, memory beyond the result": figure(peaks[1] / (ROWS * 6 * 60 * 8), "<= 1", "of result"),
+        "regressor, growth of that memory with five times the rows": figure(peaks[1] / peaks[0], "<= 5", "x"),
     }

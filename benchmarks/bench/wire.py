@@ -12,6 +12,7 @@ import can
 
 from benchmarks.bench.wire_canopen import DroppingNetwork, PdoMapExchange, answers, open_network
 from benchmarks.bench.wire_responder import CHANNEL, NODES, responder
+from benchmarks.figure import figure
 from drives.bus import Bus, BusSpec, open_bus
 from drives.busload import cycle_bits_worst, largest_rate_hz
 from drives.drive import DriveCommand
@@ -36,7 +37,7 @@ def figures(cycles: int = 100_000, seconds: float = 10.0) -> dict[str, dict[str,
     """
     limit_hz = largest_rate_hz(cycle_bits_worst([0, *[8] * 12]), 1e6)
     found: dict[str, dict[str, Any]] = {
-        "wire_limit_hz": _figure(limit_hz, "1/s", "597", int(limit_hz) == 597),
+        "wire_limit_hz": figure(int(limit_hz), "== 597", "1/s"),
     }
     with responder() as port:
         found |= _lockstep(port, cycles, 1.5 * limit_hz)
@@ -47,10 +48,6 @@ def figures(cycles: int = 100_000, seconds: float = 10.0) -> dict[str, dict[str,
         with responder() as port:
             found |= _jitter(port, rate_hz, seconds)
     return found
-
-
-def _figure(value: float, unit: str, goal: str = "", met: bool | None = None) -> dict[str, Any]:
-    return {"value": value, "unit": unit, "goal": goal, "met": met}
 
 
 @contextmanager
@@ -88,8 +85,8 @@ def _lockstep(port: int, cycles: int, goal_hz: float) -> dict[str, dict[str, Any
         incomplete = group.statistics.incomplete - before
     rate = statistics.median(rates)
     return {
-        "lockstep_rate_hz": _figure(rate, "1/s", f">= {goal_hz:.0f}", rate >= goal_hz) | {"interval": _spread(rates)},
-        f"incomplete_epochs_in_{cycles}": _figure(incomplete, "", "0", incomplete == 0),
+        "lockstep_rate_hz": figure(rate, f">= {goal_hz:.0f}", "1/s", _spread(rates)),
+        f"incomplete_epochs_in_{cycles}": figure(incomplete, "== 0"),
     }
 
 
@@ -109,9 +106,9 @@ def _cpu_on_the_bus(port: int, other_port: int, cycles: int = 3000) -> dict[str,
     ratios = [mine / their for mine, their in zip(ours, theirs, strict=True)]
     ratio = statistics.median(ratios)
     return {
-        "cpu_per_cycle_us": _figure(statistics.median(ours), "us") | {"interval": _spread(ours)},
-        "cpu_per_cycle_pdomap_us": _figure(statistics.median(theirs), "us") | {"interval": _spread(theirs)},
-        "cpu_ratio_to_pdomap": _figure(ratio, "", "<= 0.75", ratio <= 0.75) | {"interval": _spread(ratios)},
+        "cpu_per_cycle_us": figure(statistics.median(ours), unit="us", interval=_spread(ours)),
+        "cpu_per_cycle_pdomap_us": figure(statistics.median(theirs), unit="us", interval=_spread(theirs)),
+        "cpu_ratio_to_pdomap": figure(ratio, "<= 0.75", interval=_spread(ratios)),
     }
 
 
@@ -187,9 +184,9 @@ def _codec(cycles: int = 5000) -> dict[str, dict[str, Any]]:
     ratios = [mine / their for mine, their in zip(ours, theirs, strict=True)]
     ratio = statistics.median(ratios)
     return {
-        "codec_us": _figure(statistics.median(ours), "us") | {"interval": _spread(ours)},
-        "codec_pdomap_us": _figure(statistics.median(theirs), "us") | {"interval": _spread(theirs)},
-        "codec_ratio_to_pdomap": _figure(ratio, "", "<= 0.3", ratio <= 0.3) | {"interval": _spread(ratios)},
+        "codec_us": figure(statistics.median(ours), unit="us", interval=_spread(ours)),
+        "codec_pdomap_us": figure(statistics.median(theirs), unit="us", interval=_spread(theirs)),
+        "codec_ratio_to_pdomap": figure(ratio, "<= 0.3", interval=_spread(ratios)),
     }
 
 
@@ -203,11 +200,11 @@ def _jitter(port: int, rate_hz: int, seconds: float) -> dict[str, dict[str, Any]
         load = (time.process_time() - start) / seconds * 100.0
         after = group.statistics
     return {
-        f"jitter_p50_us_{rate_hz}hz": _figure((after.jitter_p50_s or 0.0) * 1e6, "us"),
-        f"jitter_p99_us_{rate_hz}hz": _figure((after.jitter_p99_s or 0.0) * 1e6, "us"),
-        f"incomplete_{rate_hz}hz": _figure(after.incomplete - before.incomplete, ""),
-        f"overruns_{rate_hz}hz": _figure(after.overruns - before.overruns, ""),
-        f"cpu_percent_{rate_hz}hz": _figure(load, "%"),
+        f"jitter_p50_us_{rate_hz}hz": figure((after.jitter_p50_s or 0.0) * 1e6, unit="us"),
+        f"jitter_p99_us_{rate_hz}hz": figure((after.jitter_p99_s or 0.0) * 1e6, unit="us"),
+        f"incomplete_{rate_hz}hz": figure(after.incomplete - before.incomplete),
+        f"overruns_{rate_hz}hz": figure(after.overruns - before.overruns),
+        f"cpu_percent_{rate_hz}hz": figure(load, unit="%"),
     }
 
 

@@ -93,8 +93,8 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
     from rich.table import Table as RichTable
 
     from benchmarks.blind.figures import bus_figures, confusion, figures, there_and_said, weakest
-    from benchmarks.blind.shares import figure_table
     from benchmarks.blind.strict_figures import strict_figures
+    from benchmarks.figure import conclude
 
     console = Console(width=150)
     matrix = RichTable("what is there", "what was said", "cells", title="confusion")
@@ -112,11 +112,8 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
             runs.add_row(str(cell["seed"]), cell["cell"], *there_and_said(cell), f"{cell['time_s']:.0f}")
         console.print(runs)
     result = figures(cells) | strict_figures(cells) | bus_figures(over_bus)
-    console.print(figure_table(result))
     confused = [{"there": there, "said": said, "cells": count} for there, said, count in rows]
-    summary = {"figures": result, "confusion": confused, "bus": over_bus}
-    (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    return 0 if all(figure["met"] is not False for figure in result.values()) else 1
+    return conclude(result, out, confusion=confused, bus=over_bus)
 
 
 if __name__ == "__main__":

@@ -8,11 +8,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from gateway.data.table import Table
-from gateway.diagnose import DiagnoseOptions, close_loop, diagnose
+from gateway.diagnose import close_loop, diagnose
 from gateway.diagnose.rest.rest_mistakes import Mistake
 from gateway.diagnose.rest.search import Search
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.rest.linear import Fit
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_loads import loads_of
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
@@ -71,12 +72,10 @@ class Robotside:
         return simulated_table(self.cell.measure(visits, self.calls), f"more{self.calls}")
 
 
-def options_of(cell: BlindCell) -> DiagnoseOptions:
+def knowledge_of(cell: BlindCell) -> Knowledge:
     """What the cell file of this arm says."""
     arm = cell.arm
-    return DiagnoseOptions(
-        inertials="prior:0.05", known=arm.known, efficiency=arm.efficiency, gear_ratio=arm.gear_ratio
-    )
+    return Knowledge(link_std=0.05, known=arm.known, efficiency=arm.efficiency, gear_ratio=arm.gear_ratio)
 
 
 def run_cell(seed: int) -> dict:
@@ -84,17 +83,17 @@ def run_cell(seed: int) -> dict:
     cell = draw_cell(seed)
     robot = robot_from_urdf(cell.arm.urdf, f"seed {seed}")
     table = simulated_table(cell.measure(cell.visits), "first")
-    options = options_of(cell)
-    first_s = _time_of_many(cell, robot, options) if seed % TIMED == 0 else float("nan")
+    knowledge = knowledge_of(cell)
+    first_s = _time_of_many(cell, robot, knowledge) if seed % TIMED == 0 else float("nan")
     begin = time.process_time()
     side = Robotside(cell)
     validation = choose_poses(cell.arm, VALIDATION, np.random.default_rng([seed, 3]))
-    result, fitted = close_loop(table, robot, options, side.measure, validation)
+    result, fitted = close_loop(table, robot, knowledge, side.measure, validation)
     total_s = time.process_time() - begin
-    return asdict(_score(cell, robot, options, result, fitted, (first_s, total_s, side.calls - 1)))
+    return asdict(_score(cell, robot, knowledge, result, fitted, (first_s, total_s, side.calls - 1)))
 
 
-def _time_of_many(cell: BlindCell, robot: Robot, options: DiagnoseOptions) -> float:
+def _time_of_many(cell: BlindCell, robot: Robot, knowledge: Knowledge) -> float:
     """CPU time [s] of a diagnosis of many poses, each bare and with the load."""
     poses = choose_poses(cell.arm, TIMED_POSES, np.random.default_rng([cell.seed, 9]))
     visits = [
@@ -104,7 +103,7 @@ def _time_of_many(cell: BlindCell, robot: Robot, options: DiagnoseOptions) -> fl
     ]
     table = simulated_table(cell.measure(visits, 99), "many")
     begin = time.process_time()
-    diagnose(table, robot, options)
+    diagnose(table, robot, knowledge)
     return time.process_time() - begin
 
 
@@ -114,9 +113,7 @@ def true_labels(cell: BlindCell) -> list[tuple[str, tuple[int, ...], float]]:
     return [(str(e["name"]), tuple(e["joints"]), s) for e, s in pairs if s >= LEAST_STRENGTH]  # type: ignore[arg-type]
 
 
-def _score(
-    cell: BlindCell, robot: Robot, options: DiagnoseOptions, result: Result, table: Table, times: tuple
-) -> Score:
+def _score(cell: BlindCell, robot: Robot, knowledge: Knowledge, result: Result, table: Table, times: tuple) -> Score:
     truth = true_labels(cell)
     kind = cell.truth.kind
     if not truth:
@@ -129,7 +126,7 @@ def _score(
     if result.loads and kind != "off":
         loads = _errors(cell, result.loads[0])
         loads_with_effects = _errors(
-            cell, loads_knowing_effects(cell, robot, options, table, [entry[:2] for entry in truth])[0]
+            cell, loads_knowing_effects(cell, robot, knowledge, table, [entry[:2] for entry in truth])[0]
         )
         inside = _inside(cell, result.loads[0])
     return Score(
@@ -188,7 +185,7 @@ def _inside(cell: BlindCell, load: LoadResult) -> list[bool]:
 
 
 def loads_knowing_effects(
-    cell: BlindCell, robot: Robot, options: DiagnoseOptions, table: Table, truth: list
+    cell: BlindCell, robot: Robot, knowledge: Knowledge, table: Table, truth: list
 ) -> tuple[LoadResult, ...]:
     """Return the loads of an estimator that is given the effects present, but not their sizes."""
     for effect in cell.truth.effects:
@@ -196,11 +193,11 @@ def loads_knowing_effects(
             factor = float(effect["parameters"].get("factor", 1.0))  # type: ignore[union-attr]
             mistake = Mistake(str(effect["name"]), tuple(effect["joints"]), factor, True)  # type: ignore[arg-type]
             table = mistake.undo(table)
-    rows = pair_visits(table, options.efficiency)
-    problem = build_problem(robot, rows, Knowledge(inertials="prior:0.05", known=options.known))
+    rows = pair_visits(table, knowledge.efficiency)
+    problem = build_problem(robot, rows, Knowledge(link_std=0.05, known=knowledge.known))
     noise = first_noise(problem)
     torque = np.abs(np.nan_to_num(rows.sum_nm))
-    terms = terms_at_rest(rows, RestSetup(options.gear_ratios(rows.axes), bool(options.known), torque))
+    terms = terms_at_rest(rows, RestSetup(knowledge.gear_ratios(rows.axes), bool(knowledge.known), torque))
     search = Search(problem, tuple(terms), (), noise)
     best: list[Fit] = [search.fitted(())]
     for name, joints in truth:

@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-from scipy.stats import beta
+
+from benchmarks.figure import figure, middle, share
 
 Cell = dict
 STRONG = 3.0
-
-
-def clopper_pearson(hits: float, total: int) -> list[float]:
-    """95 % interval of a share (Clopper and Pearson 1934)."""
-    if total == 0:
-        return [0.0, 1.0]
-    low = 0.0 if hits <= 0 else float(beta.ppf(0.025, hits, total - hits + 1))
-    high = 1.0 if hits >= total else float(beta.ppf(0.975, hits + 1, total - hits))
-    return [low, high]
-
-
-def bootstrap(values: Sequence[float], statistic: Callable = np.median) -> list[float]:
-    """95 % percentile bootstrap interval."""
-    if not len(values):
-        return [float("nan")] * 2
-    rng = np.random.default_rng(0)
-    data = np.asarray(values, dtype=float)
-    draws = [statistic(data[rng.integers(0, len(data), len(data))]) for _ in range(1000)]
-    return [float(v) for v in np.percentile(draws, [2.5, 97.5])]
 
 
 def names(cell: Cell, key: str) -> set:
@@ -65,56 +47,22 @@ def figures(cells: list[Cell]) -> dict[str, dict]:
     inside = [v for c in cells for v in c["inside"] if c["kind"] != "off"]
     ratios = [_ratio(c) for c in cells if c["load_errors"] and c["errors_with_effects"]]
     over = [c["holdout_over_floor"] for c in cells if c["kind"] != "off"]
-    out: dict[str, dict] = {}
-
-    def share(name: str, hits: Sequence[float], goal: float, least: bool = True) -> None:
-        total = len(hits)
-        value = float(np.mean(hits)) if total else float("nan")
-        met = None if not total else (value >= goal if least else value <= goal)
-        out[name] = {
-            "value": value,
-            "interval": clopper_pearson(float(np.sum(hits)), total),
-            "unit": f"of {total} cells",
-            "goal": f"{'>=' if least else '<='} {goal:g}",
-            "met": met,
-        }
-
-    share("right effect, strength >= 3", [credit(c) for c in strong], 0.99)
-    share("right effect, strength 1.5 to 3", [credit(c) for c in weak], 0.95)
-    share("right effect and axis, strength >= 3", [credit(c, places) for c in strong], 0.98)
-    share("false alarm on clean cells", [float(claims(c)) for c in clean], 0.01, least=False)
-    share("both named, two effects of strength >= 3", [float(credit(c) == 1.0) for c in two], 0.92)
     called = [float(bool(c["found"]) and c["verdict"] in ("explained", "undecided")) for c in off]
-    share("off-library effect called by a library name", called, 0.05, least=False)
-    _median(out, "hold-out residual after, over the noise floor", over, 1.1)
-    _median(out, "load error after, over that of an estimator given the effect", ratios, 1.2)
-    value = float(np.mean(inside)) if inside else float("nan")
-    out["95 % intervals hold the truth"] = {
-        "value": value,
-        "interval": clopper_pearson(float(np.sum(inside)), len(inside)),
-        "unit": f"of {len(inside)}",
-        "goal": "0.92 .. 0.98",
-        "met": 0.92 <= value <= 0.98,
-    }
     times = [c["first_s"] for c in cells if np.isfinite(c["first_s"])]
-    out["time of diagnose, 40 poses bare and loaded"] = {
-        "value": float(np.percentile(times, 95)),
-        "interval": [float(np.median(times)), float(np.max(times))],
-        "unit": "s (95th percentile; median .. largest)",
-        "goal": "<= 2",
-        "met": float(np.percentile(times, 95)) <= 2.0,
-    }
-    return out
-
-
-def _median(out: dict[str, dict], name: str, values: Sequence[float], goal: float) -> None:
-    value = float(np.median(values)) if len(values) else float("nan")
-    out[name] = {
-        "value": value,
-        "interval": bootstrap(values),
-        "unit": f"median of {len(values)} cells",
-        "goal": f"<= {goal:g}",
-        "met": value <= goal,
+    slowest_s, span_s = float(np.percentile(times, 95)), (float(np.median(times)), float(np.max(times)))
+    return {
+        "right effect, strength >= 3": share([credit(c) for c in strong], ">= 0.99"),
+        "right effect, strength 1.5 to 3": share([credit(c) for c in weak], ">= 0.95"),
+        "right effect and axis, strength >= 3": share([credit(c, places) for c in strong], ">= 0.98"),
+        "false alarm on clean cells": share([float(claims(c)) for c in clean], "<= 0.01"),
+        "both named, two effects of strength >= 3": share([float(credit(c) == 1.0) for c in two], ">= 0.92"),
+        "off-library effect called by a library name": share(called, "<= 0.05"),
+        "hold-out residual after, over the noise floor": middle(over, "<= 1.1"),
+        "load error after, over that of an estimator given the effect": middle(ratios, "<= 1.2"),
+        "95 % intervals hold the truth": share(inside, "0.92 .. 0.98"),
+        "time of diagnose, 40 poses bare and loaded": figure(
+            slowest_s, "<= 2", "s (95th percentile; median .. largest)", span_s
+        ),
     }
 
 
@@ -132,25 +80,14 @@ def bus_figures(cells: list[Cell]) -> dict[str, dict]:
     right = [float(names(c, "truth") == names(c, "found") and c["finished"]) for c in cells]
     inside = [v for c in cells for v in c["inside"]]
     times = [c["time_s"] for c in cells]
-    parts = [
-        ("bus: from start to report", [float(c["finished"]) for c in cells], f"of {len(cells)} cells", 1.0),
-        ("bus: exactly what is there named", right, f"of {len(cells)} cells", 0.9),
-        ("bus: 95 % intervals hold the truth", [float(v) for v in inside], f"of {len(inside)}", 0.85),
-    ]
-    out: dict[str, dict] = {}
-    for name, hits, unit, goal in parts:
-        value = float(np.mean(hits)) if hits else float("nan")
-        interval = clopper_pearson(float(np.sum(hits)), len(hits))
-        met = value >= goal if hits else None
-        out[name] = {"value": value, "interval": interval, "unit": unit, "goal": f">= {goal:g}", "met": met}
-    out["bus: time of one cell"] = {
-        "value": float(np.median(times)),
-        "interval": [float(min(times)), float(max(times))],
-        "unit": "s (median; shortest .. longest)",
-        "goal": "printed",
-        "met": True,
+    return {
+        "bus: from start to report": share([float(c["finished"]) for c in cells], ">= 1"),
+        "bus: exactly what is there named": share(right, ">= 0.9"),
+        "bus: 95 % intervals hold the truth": share([float(v) for v in inside], ">= 0.85"),
+        "bus: time of one cell": figure(
+            float(np.median(times)), unit="s (median; shortest .. longest)", interval=(min(times), max(times))
+        ),
     }
-    return out
 
 
 def there_and_said(cell: Cell) -> tuple[str, str]:

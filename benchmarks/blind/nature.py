@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,10 @@ from benchmarks.nature.measuring import OutlierVisit
 from benchmarks.nature.nature_cell import VISIT_S, NatureCell, draw_cell, draw_effect_cell
 from benchmarks.nature.strength import strengths_beside
 from gateway.data.table import Table
-from gateway.diagnose import DiagnoseOptions, close_loop, diagnose
+from gateway.diagnose import close_loop, diagnose
 from gateway.errors import GatewayError
-from gateway.estimate import EstimateOptions, estimate
+from gateway.estimate import estimate
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import LoadResult, Result
@@ -69,21 +70,11 @@ class Score:
     total_s: float = float("nan")
 
 
-def estimate_options(cell: NatureCell) -> EstimateOptions:
-    """What the owner states, as options of an estimate."""
+def knowledge_of(cell: NatureCell) -> Knowledge:
+    """What the owner states."""
     stated = cell.stated
-    return EstimateOptions(
-        inertials=f"prior:{stated.link_std:.6g}",
-        efficiency=tuple(float(value) for value in stated.efficiency),
-        gain_std=tuple(float(value) for value in stated.gain_std),
-    )
-
-
-def diagnose_options(cell: NatureCell) -> DiagnoseOptions:
-    """What the owner states, as options of a diagnosis."""
-    stated = cell.stated
-    return DiagnoseOptions(
-        inertials=f"prior:{stated.link_std:.6g}",
+    return Knowledge(
+        link_std=stated.link_std,
         efficiency=stated.efficiency,
         gear_ratio=stated.gear_ratio,
         gain_std=tuple(float(value) for value in stated.gain_std),
@@ -93,7 +84,7 @@ def diagnose_options(cell: NatureCell) -> DiagnoseOptions:
 def first_diagnosis(cell: NatureCell, *only: str) -> Result:
     """Diagnosis of the first recording alone, by these effects or, where none is given, by the whole library."""
     table, robot = simulated_table(cell.measure(cell.visits)[0], "first"), robot_from_urdf(cell.stated.urdf, "drawn")
-    return diagnose(table, robot, replace(diagnose_options(cell), only=frozenset(only)))
+    return diagnose(table, robot, knowledge_of(cell), only=frozenset(only))
 
 
 def run_nuisance_only(task: tuple[int, str, bool]) -> dict:
@@ -105,13 +96,13 @@ def run_nuisance_only(task: tuple[int, str, bool]) -> dict:
     oracle = load_std(cell, cell.visits, outliers)
     begin, refused, parts = time.process_time(), [], {}
     try:
-        estimate_result = estimate(table, robot, estimate_options(cell), "joint")
+        estimate_result = estimate(table, robot, knowledge_of(cell), "joint")
         parts["estimated"] = _intervals(cell, _tool(estimate_result.loads), oracle)
     except GatewayError as error:
         refused.append(f"estimate: {error}")
     if diagnosed:
         try:
-            parts |= _said(cell, diagnose(table, robot, diagnose_options(cell)), oracle)
+            parts |= _said(cell, diagnose(table, robot, knowledge_of(cell)), oracle)
         except GatewayError as error:
             refused.append(f"diagnose: {error}")
     return asdict(_score(cell, cell.visits, outliers, parts, refused, time.process_time() - begin))
@@ -124,7 +115,7 @@ def run_effect(seed: int) -> dict:
     side = Robotside(cell)
     begin, refused, parts = time.process_time(), [], {}
     try:
-        result, _ = close_loop(side.first(), robot, diagnose_options(cell), side.measure, cell.poses(VALIDATION, 1))
+        result, _ = close_loop(side.first(), robot, knowledge_of(cell), side.measure, cell.poses(VALIDATION, 1))
         asked = cell.kind not in ("strange", "wiring")
         oracle = load_std(cell, side.visits, side.outliers) if asked else np.full(4, np.nan)
         log_ratios = log_likelihood_ratios(cell, side.visits, side.outliers) if asked else []
@@ -143,7 +134,7 @@ def run_timed(seed: int) -> dict:
         for number, q in enumerate(cell.poses(TIMED_POSES, 2))
     ]
     table = simulated_table(cell.measure(visits, 99)[0], "many")
-    robot, options = robot_from_urdf(cell.stated.urdf, f"seed {seed}"), diagnose_options(cell)
+    robot, options = robot_from_urdf(cell.stated.urdf, f"seed {seed}"), knowledge_of(cell)
     begin = time.process_time()
     diagnose(table, robot, options)
     return {"seed": seed, "time_s": time.process_time() - begin}

@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.blind.figures import Cell
 from benchmarks.blind.mechanisms import MECHANISMS
 from benchmarks.blind.scores import Scores
-from benchmarks.blind.shares import Figures, middle, reached, share
 from benchmarks.blind.strict import LEAST, STRONG, There, kind, there
+from benchmarks.figure import Figures, figure, middle, share
 from benchmarks.nature.levels import CONDITIONS
 
 QUANTITIES = ("mass", "x", "y", "z")
@@ -179,13 +179,7 @@ def time_figures(timed: Sequence[Cell]) -> Figures:
     span = [float(min(times)), float(max(times))]
     parts = (("median", float(np.median(times)), "<= 2"), ("largest", span[1], "<= 4"))
     return {
-        f"time of diagnose, 40 poses bare and loaded, {word}": {
-            "value": value,
-            "interval": span,
-            "unit": f"s of {len(times)}",
-            "goal": goal,
-            "met": reached(value, goal),
-        }
+        f"time of diagnose, 40 poses bare and loaded, {word}": figure(value, goal, f"s of {len(times)}", span)
         for word, value, goal in parts
     }
 

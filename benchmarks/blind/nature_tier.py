@@ -8,7 +8,6 @@ available for more poses.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,7 +55,7 @@ def report(nuisance_cells: list[dict], effects: list[dict], timed: list[dict], o
     from rich.table import Table
 
     from benchmarks.blind import nature_figures as figures
-    from benchmarks.blind.shares import Figures, figure_table
+    from benchmarks.figure import Figures, conclude
 
     console = Console(width=160)
     conditions = Table(
@@ -88,6 +87,4 @@ def report(nuisance_cells: list[dict], effects: list[dict], timed: list[dict], o
     found: Figures = figures.nuisance_figures(nuisance_cells) if nuisance_cells else {}
     found |= figures.effect_figures(effects) if effects else {}
     found |= figures.outlier_figures([*nuisance_cells, *effects]) | figures.time_figures(timed)
-    console.print(figure_table(found))
-    (out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
-    return 0 if all(entry["met"] is not False for entry in found.values()) else 1
+    return conclude(found, out)

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.rest.screen import columns_of
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import RestProblem, common_columns
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
@@ -102,7 +103,7 @@ def _problem(arm: DrawnArm, seed: int, poses: int) -> RestProblem:
     still = replace(arm.plant, reading_noise_nm=np.full(6, 1e-9))
     table = simulated_table(measure(arm.chain, still, visits, arm.loads, quiet, rng), "pairs")
     robot = robot_from_urdf(arm.urdf, f"seed {seed}")
-    problem = build_problem(robot, pair_visits(table, arm.efficiency), Knowledge(inertials="ignore"))
+    problem = build_problem(robot, pair_visits(table, arm.efficiency), Knowledge(link_std=np.inf))
     none = np.zeros_like(problem.nuisance.mean)
     return replace(problem, nuisance=replace(problem.nuisance, mean=none, std=none + NOT_THERE))
 

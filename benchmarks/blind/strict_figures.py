@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from benchmarks.blind.figures import Cell
 from benchmarks.blind.scores import Scores
-from benchmarks.blind.shares import Figures, share
 from benchmarks.blind.strict import LEAST, STRONG, There, there
+from benchmarks.figure import Figures, share
 
 MISTAKES = ("sign_reversed", "axes_swapped", "current_rms_peak")
 

@@ -22,7 +22,8 @@ from benchmarks.calibrated.nature import (
 )
 from benchmarks.calibrated.next_load import next_load
 from gateway.errors import GatewayError
-from gateway.estimate import EstimateOptions, run
+from gateway.estimate import run
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
 
 
@@ -50,7 +51,7 @@ def answer_of(task: tuple[int, str]) -> dict:
             rows += at_rest(cell, q_rad, load, recording, start_s, gain, place_nm, condition.repeats)
         if condition.kind != "rest":
             rows += in_motion(cell, motion, load, recording, start_s + 0.5 * OCCASION_S, gain)
-    options = EstimateOptions(inertials="prior:0.05", gain_std=(condition.gain_std,) * 6)
+    options = Knowledge(link_std=0.05, gain_std=(condition.gain_std,) * 6)
     answer: dict = {"seed": seed, "condition": name}
     try:
         result = run(as_table(rows), robot_from_urdf(stated_urdf(cell), "drawn.urdf"), options, condition.method)

@@ -18,7 +18,6 @@ Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
@@ -43,7 +42,7 @@ def main(argv: list[str]) -> int:
     from benchmarks.certify.load_cost import cost_figures, cost_of_path
     from benchmarks.certify.replays import replay_figures, replayed
     from benchmarks.certify.temperature import drifting_arm, temperature_figures
-    from benchmarks.figure import show
+    from benchmarks.figure import conclude
 
     arguments.out.mkdir(parents=True, exist_ok=True)
     out: Path = arguments.out
@@ -55,9 +54,7 @@ def main(argv: list[str]) -> int:
     figures |= temperature_figures(run(drifting_arm, range(arguments.drifts), arguments.jobs, out / "drifts.jsonl"))
     if arguments.drives:
         figures |= measure_drives(arguments.drives, out, "real")
-    (out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n", encoding="utf-8")
-    show(figures)
-    return 0 if all(entry["met"] is not False for entry in figures.values()) else 1
+    return conclude(figures, out)
 
 
 if __name__ == "__main__":

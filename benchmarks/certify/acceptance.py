@@ -242,6 +242,4 @@ def acceptance_figures(arms: list[dict]) -> dict[str, dict]:
         "acceptance: without an error, cannot tell [%]": share(right, "cannot tell"),
         "acceptance: arms that were not judged": float(len(arms) - len(judged)),
     }
-    return found | {
-        name: {"value": value, "unit": "", "goal": "printed", "met": None} for name, value in printed.items()
-    }
+    return found | {name: figure(value) for name, value in printed.items()}

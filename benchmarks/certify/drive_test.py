@@ -3,7 +3,7 @@
 python -m benchmarks.certify.drive_test [--seeds 20] [--out out/drive-test] [--pacing real] [--only NAME ..]
 
 - Good drives: one arm per seed, of the makes in turn. Every figure is compared with the truth of the simulator.
-- Defects: every defect of `sim.drive_defects` but that of a brake in one drive of an arm whose other drives are good.
+- Defects: every fault that the test has to find (`sim.faults`) in one drive of an arm whose other drives are good.
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.certify.drive_truth import read_truth
-from benchmarks.figure import figure, show
+from benchmarks.figure import conclude, figure
 from drives.profile_file import PROFILE_FOLDER
-from sim.drive_defects import CONTROLWORD_DELAY_S, DEFECTS
+from sim.drive_faults import CONTROLWORD_DELAY_S
+from sim.faults import KINDS
 from sim.serve import running
 from tests.support.rigs.pacing import by_the_clock, in_lockstep
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"
 #: Makes of the drives whose profiles permit motion as they are shipped; the command refuses the others.
 MAKES = ("generic-cia402", "maxon-epos4", "kollmorgen-akd-x00606", "kinco-fd123")
-#: Defect that `check --brakes` is for.
-BRAKE_DEFECT = "slow_brake"
+#: Faults to find: those of the test alone, and one that it finds as the pre-flight check does.
+DEFECTS = (*(kind for kind, about in KINDS.items() if about.reaction == "drive test"), "heartbeat_ignored")
 #: Drive that has the defect.
 NODE = 2
 TIMEOUT_S = 900.0
@@ -44,7 +45,7 @@ def tested(make: str, defect: str, seed: int, pacing: str) -> dict:
         folder = Path(name)
         cell, record = _cell(folder, make, pacing), folder / "timing.npz"
         wanted = (f"{NODE}:{defect}",) if defect else ()
-        with running(cell, seed=seed, pacing=pacing, defect=wanted, timing=record) as drives:
+        with running(cell, seed=seed, pacing=pacing, fault=wanted, timing=record) as drives:
             began_s = time.monotonic()
             done = _drive_test(cell, drives.bus, folder)
             lasted_s = time.monotonic() - began_s
@@ -139,14 +140,14 @@ def drive_test_figures(good: list[dict], defective: list[dict]) -> dict[str, dic
     for name in sorted({name for name, _ in rows}):
         inside = [inside for each, inside in rows if each == name]
         share = 100.0 * sum(inside) / len(inside)
-        entries[f"drive test: {name}, {len(inside)}"] = {"value": share, "unit": "%", "goal": "printed", "met": None}
+        entries[f"drive test: {name}, {len(inside)}"] = figure(share, unit="%")
     return entries
 
 
 def measure_drives(seeds: int, out: Path, pacing: str, only: list[str] | None = None) -> dict[str, dict]:
     """Run good drives and every defect; write the runs to `out`; return the figures."""
     jobs = [(MAKES[seed % len(MAKES)], "", seed) for seed in range(seeds)]
-    jobs += [("generic-cia402", name, number) for number, name in enumerate(DEFECTS) if name != BRAKE_DEFECT]
+    jobs += [("generic-cia402", name, number) for number, name in enumerate(DEFECTS)]
     out.mkdir(parents=True, exist_ok=True)
     runs: list[dict] = []
     for job in jobs:
@@ -173,9 +174,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--only", nargs="*", help="defects, or `good`")
     options = parser.parse_args(argv)
     figures = measure_drives(options.seeds, options.out, options.pacing, options.only)
-    (options.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n", encoding="utf-8")
-    show(figures)
-    return 0 if all(entry["met"] is not False for entry in figures.values()) else 1
+    return conclude(figures, options.out)
 
 
 if __name__ == "__main__":

@@ -239,11 +239,7 @@ def cost_figures(paths: list[dict]) -> dict[str, dict]:
     return {
         f"load cost: cycle time of {len(timed)} plans, most off the searched one": figure(max(off), "<= 2", "%"),
         "load cost: paths that were not planned": figure(sum("said" in path for path in paths), "== 0"),
-        "load cost: cycle time above the time-optimal one without a jerk limit, median": {
-            "value": float(np.median(above)),
-            "interval": [min(above), max(above)],
-            "unit": "%",
-            "goal": "printed",
-            "met": None,
-        },
+        "load cost: cycle time above the time-optimal one without a jerk limit, median": figure(
+            float(np.median(above)), unit="%", interval=(min(above), max(above))
+        ),
     }

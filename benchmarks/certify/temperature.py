@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from benchmarks.blind.cells import options_of
+from benchmarks.blind.cells import knowledge_of
 from gateway.diagnose import diagnose
 from gateway.model.robot import robot_from_urdf
 from sim.draw import LOADED_S, VISIT_S, choose_poses, draw_arm
@@ -55,11 +55,11 @@ def drifting_arm(seed: int) -> dict:
         for number, q in enumerate(poses)
     ]
     columns = measure(arm.chain, drifting, visits, arm.loads, arm.protocol, np.random.default_rng([seed, 7]))
-    robot, options = robot_from_urdf(arm.urdf, f"seed {seed}"), options_of(SimpleNamespace(arm=arm))
+    robot, knowledge = robot_from_urdf(arm.urdf, f"seed {seed}"), knowledge_of(SimpleNamespace(arm=arm))
     read_c = np.round(columns["temp_c"] / STEP_C) * STEP_C
     found: dict = {"seed": seed, "per_k": per_k}
     for name, temperature_c in (("temperature", read_c), ("time", np.full_like(read_c, np.nan))):
-        result = diagnose(simulated_table(columns | {"temp_c": temperature_c}, "drift"), robot, options)
+        result = diagnose(simulated_table(columns | {"temp_c": temperature_c}, "drift"), robot, knowledge)
         load = result.loads[0] if result.loads else None
         if load is None or not np.isfinite(load.mass_kg):
             return found | {"refused": True}
@@ -90,4 +90,4 @@ def temperature_figures(arms: list[dict]) -> dict[str, dict]:
     ratio = figure(rms("temperature") / rms("time"), "<= 1")
     return {
         f"drift: error of the mass with temperatures over that with time alone, {len(known)} arms": ratio,
-    } | {name: {"value": value, "unit": "", "goal": "printed", "met": None} for name, value in printed.items()}
+    } | {name: figure(value) for name, value in printed.items()}

@@ -1,7 +1,7 @@
 """Inject every fault, kill masters, feed strangers' bytes; print every figure with its goal and write `summary.json`.
 
 python -m benchmarks.chaos [--out out/chaos] [scenarios] [truth] [kills] [stops] [stalls] [signals] [disk]
-                     [io] [unbuffered] [pair_stops] [load] [fuzz] [sheets] [originals] [requests]
+                     [io] [unbuffered] [pair_stops] [load] [fuzz] [sheets] [originals] [requests] [instants]
 python -m benchmarks.chaos soak [--minutes 30]
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import signal
 import sys
 from pathlib import Path
@@ -17,7 +16,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from benchmarks.figure import show
+from benchmarks.figure import conclude, write
 
 PARTS = (
     "scenarios",
@@ -35,6 +34,7 @@ PARTS = (
     "sheets",
     "originals",
     "requests",
+    "instants",
 )
 
 
@@ -54,15 +54,8 @@ def main(argv: list[str]) -> int:
         for part in arguments.parts or PARTS:
             module = importlib.import_module(f"benchmarks.chaos.part_{part}")
             figures |= module.figures(Scope(progress, arguments.share, arguments.minutes, arguments.kinds))
-            write(figures, arguments.out)
-    show(figures)
-    return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
-
-
-def write(figures: dict[str, dict], out: Path) -> None:
-    """What is known so far."""
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
+            write(figures, arguments.out)  # what is known so far
+    return conclude(figures, arguments.out)
 
 
 class Scope:

@@ -125,5 +125,5 @@ def _sdo(statistics: GroupStatistics, nodes: list[int]) -> dict[str, float]:
 
 def _ledger(opened: OpenArm, nodes: list[int]) -> dict[str, float]:
     """What was written and remembered."""
-    entries = [entry for node in nodes for entry in opened.group.nodes.ledger.of_node(node)]
+    entries = [entry for node in nodes for entry in opened.group.ledger.of_node(node)]
     return {f"ledger {index:04X}": sum(entry.index == index for entry in entries) for index in (0x1006, 0x1802)}

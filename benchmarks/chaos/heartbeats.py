@@ -13,7 +13,7 @@ from benchmarks.chaos.processes import drives
 from benchmarks.chaos.rig import with_real_pacing
 from benchmarks.chaos.stalling import PATIENCE_S, RPDO1, SLOW_RAD_S, Recorder, short_visits, stops
 from benchmarks.chaos.witness import Track
-from sim.faults import Fault
+from sim.faults import fault_of
 
 #: Cases in which a drive does not confirm that it stops: commands or answers no longer arrive, it has gone, it is deaf.
 KINDS = ("rpdo_gone", "tpdo_gone", "node_killed", "nmt_stopped")
@@ -69,7 +69,7 @@ def heartbeats_after_refused_stop(
                     time.sleep(0.01)
                     recorder.listen()
                 served.ask("log")
-                served.ask("arm", Fault(kind, node=rng.randint(1, 6), syncs=0), rng.randint(1, 40))
+                served.ask("arm", fault_of(kind, node=rng.randint(1, 6), syncs=0), rng.randint(1, 40))
                 while not recorder.said and time.monotonic() < until_s and not recorder.end:
                     time.sleep(0.01)
                     recorder.listen()

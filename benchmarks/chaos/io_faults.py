@@ -27,7 +27,7 @@ from gateway.acquire.events import Started
 from gateway.acquire.run_loop import Run, rest_visits
 from gateway.acquire.visit_store import MemoryStore
 from gateway.commands.console import Session
-from gateway.motion.opening import BusOverride, frame_log_watched, open_arm
+from gateway.motion.opening import frame_log_watched, open_arm
 from gateway.motion.stops import StopDesk
 from gateway.motion.stream import MoveOptions
 from sim.server import ABANDONED_S
@@ -122,8 +122,8 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
         options = {"trace": trace} if kind == "failing frame log" else {}
         with suppress(KeyboardInterrupt):
             try:
-                override = BusOverride(BusSpec.parse(drives.bus), **options)
-                with adapters(broken.take), open_arm(drives.loaded, override) as opened:
+                spec = BusSpec.parse(drives.bus)
+                with adapters(broken.take), open_arm(drives.loaded, spec, **options) as opened:
                     desk.watch(frame_log_watched(opened))
 
                     def listen(event: object) -> None:

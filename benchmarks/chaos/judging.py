@@ -10,7 +10,8 @@ from benchmarks.chaos.stated import SDO_REQUEST, STATED, Stated
 from drives.errors import BrakeDropped, DriveError, SeveralFailures
 from gateway.errors import LimitExceeded, PoseNeverSettles
 from gateway.motion.reactions import REACTIONS
-from sim.faults import KINDS, Fault
+from sim.fault import Fault
+from sim.faults import KINDS
 from sim.states import PdsState
 
 #: SYNCs from the first word of a stop to the last axis that is no longer enabled.
@@ -25,7 +26,7 @@ ENABLED = PdsState.OPERATION_ENABLED
 
 def judge(watched: Watched, outcome: Outcome, fault: Fault | None, error: Exception | None, evidence: Evidence) -> None:
     """The stated reaction, cause and counters against what happened."""
-    reaction = KINDS[outcome.kind].reaction_in(outcome.pacing)
+    reaction = KINDS[outcome.kind].reaction
     stated = STATED[outcome.kind]
     complain = outcome.complaints.append
     if fault is not None and not evidence.touched:
@@ -108,7 +109,7 @@ def judge_samples(outcome: Outcome, fault: Fault | None, evidence: Evidence) -> 
         complain(f"{reported} SYNCs were reported as repeated, {kept} are kept with the visits")
     if reported > evidence.counters["incomplete"]:
         complain(f"{reported} SYNCs were reported as repeated, {evidence.counters['incomplete']:g} are counted")
-    reaction = KINDS[outcome.kind].reaction_in(outcome.pacing)
+    reaction = KINDS[outcome.kind].reaction
     if reaction == "retried" and outcome.in_samples:
         named = {axis for event in evidence.repeated for axis in event.axes}
         wanted = {fault.node} if fault is not None and fault.node else named
@@ -119,8 +120,7 @@ def judge_samples(outcome: Outcome, fault: Fault | None, evidence: Evidence) -> 
 
 def follow(watched: Watched, outcome: Outcome, fault: Fault | None, start: int) -> None:
     """Detection, time to a safe state and targets after it, from the drives' side."""
-    kind = KINDS[outcome.kind]
-    if kind.reaction_in(outcome.pacing) != "stops":
+    if KINDS[outcome.kind].reaction != "stops":
         return
     healthy = [axis for axis in range(6) if fault is None or fault.node != axis + 1]
     after = [each for each in watched.seen.states if each[0] > start and any(word == ENABLED_WORD for word in each[3])]

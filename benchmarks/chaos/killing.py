@@ -12,10 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.chaos.processes import POSES, Drives, Fault, Job, Master, drives, restore
+from benchmarks.chaos.processes import POSES, Drives, Job, Master, drives, restore
 from benchmarks.chaos.rig import with_real_pacing
 from gateway.data.recording.reader import read
 from gateway.errors import InputError
+from sim.faults import fault_of
 
 #: Longest wait for a recording that is not killed.
 WHOLE_S = 60.0
@@ -115,7 +116,7 @@ def _interrupted(how: str, rng: random.Random, job: Job, served: Drives) -> Mast
         return master
     if how == "power cycle":
         _until_moving(master)
-        served.ask("arm", Fault("power_cycle", node=rng.randint(1, 6)), rng.randint(1, 800))
+        served.ask("arm", fault_of("power_cycle", node=rng.randint(1, 6)), rng.randint(1, 800))
     master.wait(WHOLE_S)
     return master
 

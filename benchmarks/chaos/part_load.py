@@ -14,10 +14,9 @@ from benchmarks.figure import figure
 from gateway.acquire.planning import make_plan
 from gateway.acquire.session import RecordRequest, record
 from gateway.estimate.joint import estimate_joint
-from gateway.estimate.options import EstimateOptions
 from gateway.model.visits import pair_visits
 from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
-from sim.faults import Fault
+from sim.faults import fault_of
 
 LOST = 0.01
 POSES = 6
@@ -59,7 +58,7 @@ def recorded(folder: Path, share: float) -> tuple[Path, int]:
             with rig.open() as opened:
                 plan = make_plan(opened.loaded, POSES)
                 if share:
-                    rig.wire.arm_in(Fault("tpdo_random_loss", syncs=0, share=share, seed=3), 50)
+                    rig.wire.arm_in(fault_of("tpdo_random_loss", syncs=0, share=share, seed=3), 50)
                 summary = record(opened, plan, RecordRequest(label, path, resume=True))
                 missing += int(summary.statistics["incomplete"])
     return path, missing
@@ -68,10 +67,7 @@ def recorded(folder: Path, share: float) -> tuple[Path, int]:
 def estimated(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Mass [kg] and centre of gravity [m] of the load with their standard deviations."""
     about = collect_inputs(ModelRequest(), [path])
-    efficiency = tuple(float(value) for value in about.efficiency)
-    visits = pair_visits(read_rows([path], about), efficiency)
-    gravity = tuple(float(value) for value in about.gravity_m_s2)
-    options = EstimateOptions(inertials=about.inertials or "ignore", gravity_m_s2=gravity, efficiency=efficiency)  # type: ignore[arg-type]
-    load = next(each for each in estimate_joint(visits, about.robot, options).loads if each.label == "load")
+    visits = pair_visits(read_rows([path], about), about.knowledge.efficiency)
+    load = next(each for each in estimate_joint(visits, about.robot, about.knowledge).loads if each.label == "load")
     value = np.concatenate([[load.mass_kg], load.com_m])
     return value, np.concatenate([[load.mass_std_kg], load.com_std_m])

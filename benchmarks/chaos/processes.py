@@ -35,8 +35,7 @@ from gateway.cell.config import LoadedCell, load_cell
 from gateway.data.rest_pose import RestPose
 from gateway.errors import GatewayError
 from gateway.model.arm_model import arm_named
-from gateway.motion.opening import BusOverride, axis_setups, open_arm
-from sim.faults import Fault
+from gateway.motion.opening import axis_setups, open_arm
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
 from sim.states import PdsState
@@ -129,6 +128,7 @@ def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection,
         "power off": lambda: rig.call(power_off),
         "values": lambda: [dict(drive.store.values) for drive in server.drives],
         "arm": rig.wire.arm_in,
+        "begin": rig.arm,
         "sync": lambda: rig.wire.sync,
         "speed": lambda: witness.speed_rad_s,
         "powered": lambda: witness.powered,
@@ -284,8 +284,11 @@ def _record(job: Job, pipe: Connection) -> None:
     loaded = load_cell(job.folder / "cell.toml")
     made: list[Any] = []
     try:
-        override = BusOverride(BusSpec.parse(job.bus), ledger=job.ledger)
-        with adapters(lambda adapter: made.append(adapter) or adapter), open_arm(loaded, override) as opened:
+        spec = BusSpec.parse(job.bus)
+        with (
+            adapters(lambda adapter: made.append(adapter) or adapter),
+            open_arm(loaded, spec, ledger=job.ledger) as opened,
+        ):
             if job.frames:
                 block_queue(made[0], job.frames, lambda: pipe.send("full"))
             pipe.send("moving")
@@ -344,4 +347,4 @@ def _restore(job: Job, pipe: Connection) -> None:
     os._exit(0)
 
 
-__all__ = ["ENABLED", "POSES", "Drives", "Fault", "Job", "Master", "drives", "poses", "restore"]
+__all__ = ["ENABLED", "POSES", "Drives", "Job", "Master", "drives", "poses", "restore"]

@@ -61,17 +61,30 @@ class Program:
     ----------
     words : of the command line, behind `servo-gateway`
     state : folder of ledgers and proofs
+    typed : a person may type answers: its input is a terminal
+    module : that is run with these words
+
+    Attributes
+    ----------
+    heard : what it has said, with the monotonic time at which it was read [s]
     """
 
-    def __init__(self, words: Sequence[object], state: Path) -> None:
+    def __init__(
+        self, words: Sequence[object], state: Path, *, typed: bool = False, module: str = "gateway.cli"
+    ) -> None:
+        self._keyboard, theirs = os.openpty() if typed else (None, subprocess.DEVNULL)
+        self.heard: list[tuple[float, str]] = []
+        self._frozen: list[int] = []
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "gateway.cli", *map(str, words)],
-            stdin=subprocess.DEVNULL,
+            [sys.executable, "-m", module, *map(str, words)],
+            stdin=theirs,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env=os.environ | {"XDG_STATE_HOME": str(state), "XDG_RUNTIME_DIR": str(state)},
             cwd=Path(__file__).resolve().parents[2],
         )
+        if typed:
+            os.close(theirs)
         assert self._process.stdout is not None
         assert self._process.stderr is not None
         self._pipes = [self._process.stdout, self._process.stderr]
@@ -85,6 +98,7 @@ class Program:
         for pipe in self._pipes:
             while part := pipe.read():
                 self._said += part
+                self.heard.append((time.monotonic(), part.decode(errors="replace")))
         return self._said.decode(errors="replace")
 
     @property
@@ -101,6 +115,19 @@ class Program:
     def send(self, number: int) -> None:
         """A signal."""
         self._process.send_signal(number)
+
+    def type(self, line: str) -> None:
+        """Type a line and press Enter."""
+        assert self._keyboard is not None, "its input is no terminal"
+        os.write(self._keyboard, f"{line}\n".encode())
+
+    def freeze(self, name: str) -> None:
+        """Suspend the processes that it has started whose command line holds a name."""
+        for number in _children(self._process.pid):
+            with suppress(OSError):
+                if name in Path(f"/proc/{number}/cmdline").read_text():
+                    os.kill(number, signal.SIGSTOP)
+                    self._frozen.append(number)
 
     def fill_disk(self) -> None:
         """From now on no file can be written, by it or by the processes that it has started."""
@@ -133,8 +160,14 @@ class Program:
         if code is None:
             self._process.send_signal(signal.SIGKILL)
         self._process.wait()
+        for number in self._frozen:
+            with suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
         _ = self.said
         self.leave()
+        if self._keyboard is not None:
+            os.close(self._keyboard)
+            self._keyboard = None
         return code
 
 
@@ -188,9 +221,9 @@ class Stage:
         """Ledgers and proofs."""
         return self.folder / "state"
 
-    def run(self, *words: object) -> Program:
+    def run(self, *words: object, typed: bool = False, module: str = "gateway.cli") -> Program:
         """Start a command."""
-        return Program([*words, "--bus", self.bus], self.state)
+        return Program([*words, "--bus", self.bus], self.state, typed=typed, module=module)
 
 
 def _edit(period_s: float) -> Callable[[str], str]:
@@ -205,10 +238,13 @@ def _edit(period_s: float) -> Callable[[str], str]:
 
 
 @contextmanager
-def small_stage(folder: Path, period_s: float, **options: Any) -> Iterator[Stage]:
-    """One arm, proven to stop."""
+def small_stage(
+    folder: Path, period_s: float, further: Callable[[str], str] = lambda text: text, **options: Any
+) -> Iterator[Stage]:
+    """One arm, proven to stop; `further` edits the text of its cell."""
     folder.mkdir(parents=True, exist_ok=True)
-    with drives(folder, _edit(period_s), **options) as served:
+    edit = _edit(period_s)
+    with drives(folder, lambda text: further(edit(text)), **options) as served:
         (folder / "path.toml").write_text(PATH)
         robot = arm_robot(served.loaded, served.loaded.cell.arm[0]).name
         known = json.loads(RESULT_SEED.replace(b"21.0", b"6.0"))

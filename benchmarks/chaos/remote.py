@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.chaos.rig import Rig, Watched, with_real_pacing
 from drives.realtime import RealTime
 from gateway.cell.config import LoadedCell, load_cell
-from sim.faults import Fault
+from sim.fault import Fault
 from sim.serve import free_bus
 
 PATIENCE_S = 60.0

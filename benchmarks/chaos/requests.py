@@ -22,7 +22,7 @@ from drives.bus import BusSpec
 from gateway.cell.config import LoadedCell, parse_cell
 from gateway.check.brakes import try_brakes
 from gateway.check.stop import SPEED_RAD_S, go_slowly, prove_stop
-from gateway.motion.opening import BusOverride, OpenArm, open_arm
+from gateway.motion.opening import OpenArm, open_arm
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
 from sim.motor import MotorAxis
@@ -118,8 +118,8 @@ def fall(period_s: float, acceleration: float, joint: int, folder: Path) -> tupl
             (folder / each.name).symlink_to(each)
     with running(path, bus=f"virtual:{uuid.uuid4()}", pacing="lockstep") as simulation:
         axis: MotorAxis = simulation.simulation.arms[0].world.axes[joint - 1]
-        override = BusOverride(BusSpec.parse(simulation.bus), ledger=folder / f"{uuid.uuid4().hex}.json")
-        with open_arm(loaded, override) as opened:
+        ledger = folder / f"{uuid.uuid4().hex}.json"
+        with open_arm(loaded, BusSpec.parse(simulation.bus), ledger=ledger) as opened:
             axis.fall_rad_s2 = acceleration
             at: list[float] = []
 

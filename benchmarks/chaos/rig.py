@@ -20,11 +20,11 @@ import can
 from drives.bus import BusSpec
 from drives.profile_file import PROFILE_FOLDER
 from gateway.cell.config import LoadedCell, load_cell
-from gateway.motion.opening import BusOverride, OpenArm, open_arm
-from sim.faults import Fault
-from sim.faulty_wire import FaultyWire
+from gateway.motion.opening import OpenArm, open_arm
+from sim.fault import Fault
 from sim.serve import ServeOptions, Simulation
 from sim.states import PdsState
+from sim.wire_faults import FaultyWire
 from tests.support.rigs.pacing import by_the_clock, in_lockstep
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"
@@ -45,8 +45,8 @@ good = 0x02000000
 """
 #: TPDO3 of a drive, and the bit of its identifier that says that it is off.
 TPDO3, OFF = 2, 1 << 31
-#: A scenario that never begins, so that the wire is there and faults can be armed while it runs.
-IDLE = '[[fault]]\nkind = "warning"\nat_sync = 1000000000\n'
+#: Fault that is cleared at once: the wire is there, and faults can be armed while it runs.
+IDLE = "warning"
 
 
 @contextmanager
@@ -123,9 +123,7 @@ class Rig:
     ) -> None:
         self.bus = bus or f"virtual:rig-{uuid.uuid4().hex}"
         self.loaded = small_cell(folder, edit)
-        scenario = folder / "idle.toml"
-        scenario.write_text(IDLE)
-        serve_options = ServeOptions(bus=self.bus, fault=scenario, payload=payload, **options)
+        serve_options = ServeOptions(bus=self.bus, fault=(IDLE,), payload=payload, **options)
         self.simulation = Simulation(folder / "cell.toml", serve_options)
         self.server = self.simulation.servers[0]
         self.wire: FaultyWire = self.server.bus
@@ -134,7 +132,6 @@ class Rig:
         if watch:
             self.wire.on_sync = self._on_sync
             self.wire.on_frame = self._on_frame
-        self._fresh = [(dict(drive.store.values), dict(drive.store.entries)) for drive in self.server.drives]
         self._thread = threading.Thread(target=self.simulation.run, name="rig")
 
     def __enter__(self) -> Rig:
@@ -218,16 +215,14 @@ class Rig:
         self.seen.clear()
 
     def _renew(self) -> None:
-        for drive, (values, entries) in zip(self.server.drives, self._fresh, strict=True):
-            drive.store.entries.update(entries)
-            drive.store.values.update(values)
+        for drive in self.server.drives:
             drive.repair()
             drive.node.boot()
 
     @contextmanager
     def open(self, **options: Any) -> Iterator[OpenArm]:
         """The master's side: connected and configured."""
-        with open_arm(self.loaded, BusOverride(BusSpec.parse(self.bus), **options)) as opened:
+        with open_arm(self.loaded, BusSpec.parse(self.bus), **options) as opened:
             yield opened
 
 

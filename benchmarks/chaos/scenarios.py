@@ -34,70 +34,19 @@ from gateway.check.moves import check_moves
 from gateway.check.stop import prove_stop
 from gateway.data.rest_pose import RestPose
 from gateway.errors import GatewayError
-from gateway.motion.opening import BusOverride, OpenArm, open_arm
+from gateway.motion.opening import OpenArm, open_arm
 from gateway.motion.state import Phase
 from gateway.motion.stream import MoveOptions
-from sim.faults import KINDS, Fault
+from sim.fault import Fault
+from sim.faults import KINDS, fault_of
 
-RATED_TORQUE = 0x6076
 #: Of the small cell.
 BUS = "a"
 #: How often a scenario is begun again where the machine holds the master up.
 TRIES = 4
 
-#: What a kind needs beyond its node.
-DETAILS: dict[str, dict[str, Any]] = {
-    "tpdo_lost": {"syncs": 3},
-    "tpdo_gone": {"syncs": 0},
-    "tpdo_duplicated": {"syncs": 50},
-    "tpdo_delayed": {"syncs": 20},
-    "tpdo_reordered": {"node": 0, "syncs": 0},
-    "tpdo_stuck": {"syncs": 0},
-    "burst": {"syncs": 2},
-    "tpdo_random_loss": {"node": 0, "syncs": 0, "share": 0.002},
-    "rpdo_gone": {"syncs": 0},
-    "sync_lost": {"node": 0},
-    "heartbeat_lost": {"syncs": 0},
-    "heartbeat_back": {"syncs": 900},
-    "internal_limit": {"syncs": 0},
-    "following_error": {"syncs": 0},
-    "not_remote": {"syncs": 0},
-    "not_following": {"syncs": 0},
-    "warning": {"syncs": 20},
-    "torque_spike": {"syncs": 0, "code": 1500},
-    "brake_slips": {"syncs": 0, "speed_rad_s": 0.05},
-    "second_master_sync": {"syncs": 0},
-    "second_master_nmt": {"syncs": 0},
-    "second_master_sdo": {"syncs": 0},
-    "error_frames": {"syncs": 20},
-    "error_passive": {"syncs": 20},
-    "strange_frames": {"syncs": 20},
-    "sdo_late": {"syncs": 0, "count": 5, "delay_s": 0.1},
-    "sdo_too_late": {"syncs": 0, "count": 1, "index": RATED_TORQUE, "delay_s": 0.8},
-    "sdo_lost": {"syncs": 0, "count": 1, "index": RATED_TORQUE},
-    "sdo_silent": {"syncs": 0},
-    "sdo_aborted": {"syncs": 0, "index": 0x6060},
-    "sdo_other_object": {"syncs": 0, "index": RATED_TORQUE},
-    "sdo_wrong_toggle": {"syncs": 0, "count": 1},
-    "sdo_short": {"syncs": 0},
-    "node_missing": {"syncs": 0},
-    "duplicate_node": {"syncs": 0},
-}
 #: Whom a fault may concern; only an axis that carries weight sinks.
-NODES, CARRYING = (1, 2, 3, 4, 5, 6), (3, 5)
-#: Faults that show after a delay, or only while the axis moves, begin in the first motion.
-IN_MOTION = frozenset(
-    {"rpdo_gone", "brake_engaged", "heartbeat_lost", "heartbeat_back", "nmt_preoperational", "not_following"}
-)
-#: Faults of drives that wait in their brakes, configured.
-IN_BRAKES = frozenset({"reboot_keeps_all", "reboot_keeps_communication", "reboot_keeps_nothing"})
-#: Faults that happen between two runs with one write ledger.
-BETWEEN_RUNS = frozenset({"drive_exchanged"})
-#: What looks like a joint that does not follow, or a drive at its torque limit, where it happens at full speed: these
-#: begin in the slow motion between the two sides of a pose.
-SLOWLY = frozenset({"tpdo_stuck", "rpdo_lost"})
-#: The torque is watched once the brakes have handed over the load.
-TAKEN_OVER = frozenset({"torque_spike"})
+NODES, CARRYING, SINKING = (1, 2, 3, 4, 5, 6), (3, 5), ("brake_slips", "brake_falls", "slow_brake")
 #: Rest poses in lockstep; a lost heartbeat also takes real time, which a fast computer outruns in two poses.
 LOCKSTEP_POSES, LOCKSTEP_POSES_LONG = 2, 8
 BY_THE_CLOCK_TOO = frozenset({"heartbeat_lost", "heartbeat_back"})
@@ -114,13 +63,19 @@ STRICT = (
     "tpdo3_on",
     "foreign_emcy_id",
 )
-#: Kinds that the drives have to stop by themselves, or that need a process of their own: `benchmarks.chaos.killing`.
-ELSEWHERE = frozenset({"queue_stays_full", "master_killed", "master_stalled", "disk_full"})
+#: Reactions of kinds that are played elsewhere: those that the drives have to stop by themselves or that need a process
+#: of their own (`benchmarks.chaos.killing`), and those of the test of drives (`benchmarks.certify.drive_test`).
+ELSEWHERE = frozenset({"drives stop", "kept", "drive test"})
 
 
-def kinds() -> Iterable[str]:
+def kinds() -> list[str]:
     """Kinds that are carried out here."""
-    return (kind for kind in KINDS if kind not in ELSEWHERE)
+    return [kind for kind, about in KINDS.items() if about.reaction not in ELSEWHERE]
+
+
+def scenario(kind: str, node: int, seed: int) -> Fault:
+    """Return the fault of a kind with its defaults, of one node where it is not one of the whole bus."""
+    return fault_of(kind, node=0 if "node" in KINDS[kind].defaults else node, seed=seed)
 
 
 def short_plan(opened: OpenArm, seed: int, lockstep_poses: int = LOCKSTEP_POSES) -> Plan:
@@ -153,30 +108,28 @@ class Beginning:
     def __init__(self, rig: Drives, kind: str, seed: int, fault: Fault | None) -> None:
         bus = rig.loaded.cell.bus[BUS]
         self._period_s = bus.sync_period_s
-        self._rig, self._kind, self._fault = rig, kind, fault
+        self._rig, self._fault = rig, fault
         self._rng = random.Random(f"{kind} {seed}")
         self._moves = 0
         self.start = 0
-        about = KINDS[kind]
-        retried = about.reaction_in(bus.pacing) == "retried" and kind != "tpdo_random_loss"
-        self.in_samples = retried and seed % 2 == 1
-        found = about.where == "object" or about.reaction in ("refuses", "finding") or kind.startswith("sdo_")
-        self.from_start = found and kind != "brake_slips" and kind not in IN_BRAKES
+        self._starts = KINDS[kind].starts
+        self.in_samples = KINDS[kind].reaction == "retried" and kind != "tpdo_random_loss" and seed % 2 == 1
+        self.from_start = self._starts in ("power-up", "between runs")
 
     def receive(self, event: Event) -> None:
         """Take an event of the run."""
-        if self.start or self.from_start or self._kind in IN_BRAKES:
+        if self.start or self.from_start or self._starts == "in brakes":
             return
         phase = event.state.phase if isinstance(event, StateChanged) else None
         self._moves += phase is Phase.MOVING
         if self.in_samples:
             self._begin_if(phase is Phase.SAMPLING, SAMPLES_S)
-        elif self._kind in SLOWLY:
+        elif self._starts == "slow motion":  # between the two sides of a pose: not mistaken for an axis that is behind
             self._begin_if(phase is Phase.MOVING and self._moves == 2, EARLY_S)
-        elif self._kind in IN_MOTION:
+        elif self._starts == "in motion":
             self._begin_if(phase is Phase.MOVING, EARLY_S)
         else:
-            self._begin_if(isinstance(event, Started), TAKEN_OVER_S if self._kind in TAKEN_OVER else ANY_S)
+            self._begin_if(isinstance(event, Started), TAKEN_OVER_S if self._starts == "load taken over" else ANY_S)
 
     def _begin_if(self, now: bool, span_s: tuple[float, float]) -> None:
         if now:
@@ -202,30 +155,29 @@ def play(rig: Drives, kind: str, seed: int) -> Outcome:
     outcome, evidence = Outcome(kind, seed, bus.pacing, bus.sync_period_s), Evidence()
     fault = None
     if KINDS[kind].where != "master":
-        node = random.Random(f"node {kind} {seed}").choice(
-            CARRYING if kind in ("brake_slips", "brake_falls") else NODES
-        )
-        fault = Fault(kind, **({"node": node, "seed": seed} | DETAILS.get(kind, {})))
+        node = random.Random(f"node {kind} {seed}").choice(CARRYING if kind in SINKING else NODES)
+        fault = scenario(kind, node, seed)
     begin = Beginning(rig, kind, seed, fault)
     outcome.in_samples = begin.in_samples
     base, error, limits = 0, None, rig.watched().torque_limits
     made: list[Any] = []
     with ExitStack() as stack:
-        override = BusOverride(BusSpec.parse(rig.bus))
-        if kind in BETWEEN_RUNS:
+        spec, ledger = BusSpec.parse(rig.bus), None
+        if KINDS[kind].starts == "between runs":
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ledger-"))
-            override = replace(override, ledger=Path(folder) / "ledger.json")
-            with open_arm(rig.loaded, override):
+            ledger = Path(folder) / "ledger.json"
+            with open_arm(rig.loaded, spec, ledger=ledger):
                 pass
         if begin.from_start and fault is not None:
             rig.arm(fault)
             limits = rig.watched().torque_limits
+        taken = adapters(lambda adapter: made.append(adapter) or adapter)
         try:
-            with adapters(lambda adapter: made.append(adapter) or adapter), open_arm(rig.loaded, override) as opened:
+            with taken, open_arm(rig.loaded, spec, ledger=ledger) as opened:
                 base = rig.sync()
                 if kind == "queue_full":
                     fill_queue(made[0], random.Random(outcome.seed))
-                if kind in IN_BRAKES and fault is not None:
+                if KINDS[kind].starts == "in brakes" and fault is not None:
                     rig.arm(fault)
                 try:
                     _act(rig, opened, outcome, evidence, begin)
@@ -292,6 +244,7 @@ def _failing(items: Iterable[Any]) -> str:
 LOOKS: dict[str, Callable[[OpenArm], str]] = {
     "heartbeat_ignored": lambda opened: _failing(prove_stop(opened).items),
     "brake_falls": lambda opened: _failing(try_brakes(opened, MoveOptions())),
+    "slow_brake": lambda opened: _failing(try_brakes(opened, MoveOptions())),
     "demand_torque": lambda opened: _failing(check_moves(opened).items),
     "unsigned_torque": lambda opened: _failing(check_moves(opened).items),
 }

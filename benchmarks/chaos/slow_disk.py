@@ -24,7 +24,7 @@ from gateway.cell.config import load_cell
 from gateway.data.recording.queue import CAPACITY, VisitQueue
 from gateway.data.recording.writer import write_recording
 from gateway.errors import GatewayError
-from gateway.motion.opening import BusOverride, open_arm
+from gateway.motion.opening import open_arm
 
 SYNC = 0x080
 #: How often it is tried again where this computer was too busy with something else.
@@ -152,7 +152,7 @@ def _record(folder: Path, bus: str, how: tuple[float, int, int], pipe: Connectio
     loaded = load_cell(folder / "cell.toml")
     said = COMPLETE
     try:
-        with open_arm(loaded, BusOverride(BusSpec.parse(bus), ledger=folder / "ledger.json")) as opened:
+        with open_arm(loaded, BusSpec.parse(bus), ledger=folder / "ledger.json") as opened:
             near = [replace(pose, number=number) for number, pose in enumerate(poses(visits // 2), start=1)]
             plan = plan_of_poses(loaded, opened.config, opened.workspace, near)
             record(opened, plan, RecordRequest("none", folder / "run.h5"), (notify,))

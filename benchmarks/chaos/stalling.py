@@ -27,7 +27,7 @@ from gateway.cell.config import load_cell
 from gateway.data.recording.reader import read
 from gateway.data.rest_pose import RestPose
 from gateway.errors import GatewayError
-from gateway.motion.opening import BusOverride, open_arm
+from gateway.motion.opening import open_arm
 from gateway.motion.stops import StopDesk, StoppedByPerson, signals_ask
 from gateway.motion.stream import MoveOptions
 
@@ -142,7 +142,7 @@ def _record(folder: Path, bus: str, pipe: Connection) -> None:
 def _many(loaded: Any, folder: Path, bus: str, pipe: Connection) -> None:
     """Open the arm, record again and again; an error that says so has it opened again."""
     try:
-        with open_arm(loaded, BusOverride(BusSpec.parse(bus), ledger=folder / "ledger.json")) as opened:
+        with open_arm(loaded, BusSpec.parse(bus), ledger=folder / "ledger.json") as opened:
             turns = itertools.cycle(
                 plan_of_poses(loaded, opened.config, opened.workspace, poses) for poses in (POSES, POSES[1:])
             )

@@ -194,6 +194,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "enables_and_drops": Stated(DriveFault, "left OPERATION ENABLED: SWITCHED ON", "left_enabled"),
         "brake_slips": Stated(BrakeDropped, r"sank by 0\.\d+ rad in its brake", named="joint"),
         "brake_falls": Stated(None, r"sank by 0\.0[01]\d\d rad in its brake within .* held by its drive again"),
+        "slow_brake": Stated(None, r"sank by 0\.0\d+ rad in its brake"),
         # the bus
         "second_master_sync": Stated(
             ForeignMaster, "a frame with id 080 .* came from another master", "second_master", "no node"

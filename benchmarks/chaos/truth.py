@@ -12,7 +12,7 @@ from drives.bus import BusSpec, open_bus
 from drives.drive import DriveCommand
 from drives.group import DriveGroup, GroupOptions
 from gateway.motion.opening import axis_setups
-from sim.faults import Fault
+from sim.faults import fault_of
 
 KINDS = (
     "tpdo_lost",
@@ -89,7 +89,7 @@ def _stretch(made: Rig, group: DriveGroup, base: int, start: list[float], rng: r
     for number in range(5):
         kind = rng.choice(KINDS)
         node = 0 if kind in ("sync_lost", "tpdo_reordered") else rng.randint(1, 6)
-        fault = Fault(kind, node=node, syncs=rng.randint(1, 3), seed=rng.getrandbits(30))
+        fault = fault_of(kind, node=node, syncs=rng.randint(1, 3), seed=rng.getrandbits(30))
         made.wire.arm_in(fault, number * EVERY + rng.randint(1, EVERY - 10))
         verdict.faults += 1
     for _ in range(5 * EVERY):

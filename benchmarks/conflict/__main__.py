@@ -62,18 +62,14 @@ def report(answers: list[dict], out: Path) -> int:
     """Print the tables, write summary.json; 1 when a goal is missed."""
     from rich.console import Console
 
-    from benchmarks.blind.shares import figure_table
     from benchmarks.conflict.figures import check_rates, check_table, condition_table, figures
+    from benchmarks.figure import conclude
 
     console, result = Console(width=170), figures(answers)
     console.print(condition_table(answers))
     print(check_table(answers))
-    missed = {name: figure for name, figure in result.items() if figure["met"] is False}
-    console.print(figure_table(missed) if missed else "every goal is met")
     checks = [{"check": name, "clean": a, "wrong": b, "most": most} for name, a, b, most in check_rates(answers)]
-    summary = {"figures": result, "checks": checks}
-    (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    return 1 if missed else 0
+    return conclude(result, out, checks=checks)
 
 
 if __name__ == "__main__":

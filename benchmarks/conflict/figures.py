@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 
 from rich.table import Table
 
-from benchmarks.blind.shares import Figures, middle, share
 from benchmarks.conflict.answers import DEFECT, FAR
 from benchmarks.conflict.conditions import CONDITIONS
+from benchmarks.figure import Figures, middle, share
 
 #: Median standard deviation of the mass on clean cells that may be reached, over the true mass.
 CLEAN_STD = 1.25 * 0.0159

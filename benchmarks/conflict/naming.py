@@ -10,7 +10,6 @@ refusal states the unit. Development seeds are 0 to 9999.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -96,7 +95,7 @@ def main(argv: list[str]) -> int:
     arguments = parser.parse_args(argv)
     one_thread()
     from benchmarks.blind.__main__ import run
-    from benchmarks.blind.shares import figure_table, share
+    from benchmarks.figure import conclude, share
 
     first, end = (int(part) for part in arguments.seeds.split(":"))
     chosen = arguments.mistake or [each.condition for each in MISTAKES]
@@ -110,11 +109,8 @@ def main(argv: list[str]) -> int:
             figures[f"{condition}, noise {100 * noise:.0f} %: named"] = share([each["named"] for each in own])
     figures["named"] = share([each["named"] for each in answers], ">= 0.95")
     figures["another mistake named"] = share([each["wrong"] for each in answers], "<= 0.01")
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n", encoding="utf-8")
-    from rich.console import Console
 
-    Console(width=140).print(figure_table(figures))
-    return 0 if all(entry["met"] is not False for entry in figures.values()) else 1
+    return conclude(figures, arguments.out)
 
 
 if __name__ == "__main__":

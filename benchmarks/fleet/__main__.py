@@ -7,12 +7,11 @@ python -m benchmarks.fleet [--out out/fleet] [--robots 1000] [--analysed 1000] [
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.figure import show
+from benchmarks.figure import conclude
 from benchmarks.fleet import drifts, recordings
 
 PARTS = ("store", "drifts", "unlike", "recordings")
@@ -55,10 +54,7 @@ def main(argv: list[str]) -> int:
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as name:
         figures = _parts(Path(name), options)
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
-    show(figures)
-    return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
+    return conclude(figures, options.out)
 
 
 if __name__ == "__main__":

@@ -132,9 +132,9 @@ def scaling(base: Path, folder: Path, count: int) -> dict[str, dict]:
     return {
         "re-estimation, 1 to 2 workers, share of linear": figure(float(np.median(ratios)), ">= 0.85")
         | {"interval": [min(ratios), max(ratios)]},
-        "recordings of the comparison": _printed(count),
-        "recordings a second, 2 workers": _printed(float(np.median(rates)), "1/s"),
-        "load of the machine meanwhile (processors: 2)": _printed(float(np.mean(loads))),
+        "recordings of the comparison": figure(count),
+        "recordings a second, 2 workers": figure(float(np.median(rates)), unit="1/s"),
+        "load of the machine meanwhile (processors: 2)": figure(float(np.mean(loads))),
     }
 
 
@@ -158,12 +158,12 @@ def complete_fleet(base: Path, folder: Path, count: int) -> dict[str, dict]:
     most_mb, took_s = _analysed(store, kill_one)
     assert victims, "no worker was killed: with fewer than 100 recordings the run is over before"
     return {
-        "recordings re-estimated": _printed(count),
+        "recordings re-estimated": figure(count),
         "recordings lost to a killed worker": figure(count - estimated(store), "== 0"),
-        "time of fleet analyse, 2 workers, one killed": _printed(took_s, "s"),
+        "time of fleet analyse, 2 workers, one killed": figure(took_s, unit="s"),
         "memory of fleet analyse, all recordings over a quarter of them": figure(most_mb / least_mb, "<= 1.1"),
-        f"memory of fleet analyse and its workers, {few} recordings": _printed(least_mb, "MB"),
-        f"memory of fleet analyse and its workers, {count} recordings": _printed(most_mb, "MB"),
+        f"memory of fleet analyse and its workers, {few} recordings": figure(least_mb, unit="MB"),
+        f"memory of fleet analyse and its workers, {count} recordings": figure(most_mb, unit="MB"),
     }
 
 
@@ -208,7 +208,3 @@ def _memory_mb(program: int) -> float:
             with suppress(psutil.Error):
                 total += each.memory_info().rss
     return total / 1e6
-
-
-def _printed(value: float, unit: str = "") -> dict:
-    return {"value": value, "unit": unit, "goal": "printed", "met": None}

@@ -9,7 +9,6 @@ motions, and drives of which the gateway has the profile. One report is left bes
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import sys
 import tempfile
@@ -19,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.figure import figure, show
+from benchmarks.figure import conclude, figure
 from gateway.cell.config import load_cell
-from gateway.follow.job import FollowRequest, prepare
+from gateway.follow.job import prepare
 from gateway.result.follow import FedTrend, FollowResult, read_follow
 from tests.support.follow import rig
 
@@ -61,9 +60,7 @@ def main(argv: list[str]) -> int:
         first = f"{jobs[0][0]}-{jobs[0][1]}"
         shutil.copy(arguments.out / f"{first}.html", arguments.out / "report.html")
     figures = _following(results) | _untyped(untyped) | _loads(results, wrong) | figures
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
-    show(figures)
-    return 0 if all(item["met"] is not False for item in figures.values()) else 1
+    return conclude(figures, arguments.out)
 
 
 def _following(results: dict[str, list[FollowResult]]) -> dict[str, dict]:
@@ -88,7 +85,7 @@ def _words(setting: str) -> str:
 def _nothing_typed(place: rig.Place, handle: Any, seed: int) -> FollowResult:
     """The path with a cell in which no rotor and no friction is typed, and all of it identified in motion."""
     cell, result = rig.nothing_typed(place, handle, seed)
-    return rig.followed(handle, cell, FollowRequest(place.path, result), "off", "maximum", "identified")
+    return rig.followed(handle, cell, place.path, result, "off", "maximum", "identified")
 
 
 def _untyped(several: list[FollowResult]) -> dict[str, dict]:
@@ -108,9 +105,7 @@ def _untyped(several: list[FollowResult]) -> dict[str, dict]:
 def _wrong(place: rig.Place, handle: Any) -> list[FollowResult]:
     """The same pass with a load that is 20 % too light or too heavy in the file."""
     return [
-        rig.followed(
-            handle, place.cell, FollowRequest(place.path, place.result_with(f"wrong-{factor}", factor)), "identified"
-        )
+        rig.followed(handle, place.cell, place.path, place.result_with(f"wrong-{factor}", factor), "identified")
         for factor in WRONG
     ]
 
@@ -135,13 +130,9 @@ def _loads(results: dict[str, list[FollowResult]], wrong: list[FollowResult]) ->
             min(slope), ">= 3", interval=(min(slope), max(slope))
         ),
         "load as identified: findings that warn or fail": figure(float(alarms), "== 0"),
-        "load as identified: trend of the residual, largest": {
-            "value": max(share),
-            "interval": [min(share), max(share)],
-            "unit": "of the load",
-            "goal": "printed",
-            "met": None,
-        },
+        "load as identified: trend of the residual, largest": figure(
+            max(share), unit="of the load", interval=(min(share), max(share))
+        ),
     }
 
 
@@ -149,9 +140,9 @@ def _with_wrong_efficiency(place: rig.Place, handle: Any) -> dict[str, dict]:
     """The same with gear efficiencies in the cell file that are five points below what the gears do."""
     pattern = r"gear_efficiency = \{ value = 0\.8(\d?)"
     cell = place.changed_cell("restated", pattern, r"gear_efficiency = { value = 0.75")
-    request = FollowRequest(place.path, place.result)
-    command = rig.peaks(rig.followed(handle, cell, request, "maximum", "identified"))
-    right = rig.peaks(rig.followed(handle, place.cell, request, "velocity alone", "identified"))
+    request = place.path, place.result
+    command = rig.peaks(rig.followed(handle, cell, *request, "maximum", "identified"))
+    right = rig.peaks(rig.followed(handle, place.cell, *request, "velocity alone", "identified"))
     values = {
         "large arm with 5 to 10 points less gear efficiency stated: axes 2 and 3, identified over maximum load": max(
             float(command["identified"][axis] / command["maximum"][axis]) for axis in WATCHED
@@ -160,13 +151,13 @@ def _with_wrong_efficiency(place: rig.Place, handle: Any) -> dict[str, dict]:
             float(right["identified"][axis] / right["velocity alone"][axis]) for axis in WATCHED
         ),
     }
-    return {name: {"value": value, "unit": "", "goal": "printed", "met": None} for name, value in values.items()}
+    return {name: figure(value) for name, value in values.items()}
 
 
 def _computing(place: rig.Place) -> dict[str, dict]:
     """Processor time of both offsets of six axes, over the states of the path."""
     loaded = load_cell(place.cell)
-    prepared = prepare(loaded, loaded.cell.arm[0], FollowRequest(place.path, place.result))
+    prepared = prepare(loaded, loaded.cell.arm[0], place.path, place.result)
     law = prepared.settings[-1].law
     assert law is not None
     motion = prepared.path.motions[0]

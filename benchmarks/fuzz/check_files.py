@@ -22,7 +22,8 @@ from gateway.data.table import read_csv
 from gateway.errors import ConfigError, InputError
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import from_json, to_json
-from sim.faults import Fault, FaultError, parse_faults
+from sim.fault import Fault
+from sim.faults import FaultError, parse_faults
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"

@@ -45,10 +45,9 @@ def answer_of(name: str) -> dict:
 
 
 def _seeded(case: Case) -> dict:
-    estimated = _timed(lambda: _of_result(run(case.table, case.robot, case.estimate)))
-    diagnosed = _timed(lambda: _of_result(diagnose(case.table, case.robot, case.diagnose)))
-    nothing = replace(case.diagnose, only=NOTHING)
-    plain = _timed(lambda: _of_result(diagnose(case.table, case.robot, nothing)))
+    estimated = _timed(lambda: _of_result(run(case.table, case.robot, case.knowledge)))
+    diagnosed = _timed(lambda: _of_result(diagnose(case.table, case.robot, case.knowledge)))
+    plain = _timed(lambda: _of_result(diagnose(case.table, case.robot, case.knowledge, only=NOTHING)))
     if case.effects is not None:
         said = Said(tuple((name, tuple(joints)) for name, joints in diagnosed["effects"]), diagnosed["verdict"])
         diagnosed |= {"right": right(case.effects, said), "misnamed": misnamed(case.effects, said)}

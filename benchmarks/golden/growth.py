@@ -20,7 +20,7 @@ def main(argv: list[str]) -> int:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     import numpy as np
 
-    from benchmarks.blind.nature import diagnose_options, estimate_options
+    from benchmarks.blind.nature import knowledge_of
     from benchmarks.nature.nature_cell import VISIT_S, draw_cell
     from gateway.diagnose import diagnose
     from gateway.estimate import run
@@ -42,9 +42,9 @@ def main(argv: list[str]) -> int:
     robot = robot_from_urdf(cell.stated.urdf, "drawn")
     begin = time.process_time()
     if argv[1:] == ["estimate"]:
-        result = run(table, robot, estimate_options(cell))
+        result = run(table, robot, knowledge_of(cell))
     else:
-        result = diagnose(table, robot, diagnose_options(cell))
+        result = diagnose(table, robot, knowledge_of(cell))
     taken_s = time.process_time() - begin
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     load = result.loads[0]

@@ -11,8 +11,9 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
+from benchmarks.blind.cells import knowledge_of as blind_knowledge
 from benchmarks.blind.mechanisms import MECHANISMS
-from benchmarks.blind.nature import diagnose_options, estimate_options
+from benchmarks.blind.nature import knowledge_of
 from benchmarks.blind.strict import There, there
 from benchmarks.conflict.conditions import CONDITIONS as CONDITIONS_OF_CONFLICT
 from benchmarks.moving.cells import TIERS
@@ -21,8 +22,8 @@ from benchmarks.nature.levels import CONDITIONS
 from benchmarks.nature.nature_cell import NatureCell, draw_effect_cell
 from benchmarks.nature.nature_cell import draw_cell as draw_nature_cell
 from gateway.data.table import Table
-from gateway.diagnose import DiagnoseOptions
-from gateway.estimate import EstimateOptions, estimate
+from gateway.estimate import estimate
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import Robot, robot_from_urdf
 from sim import blind
 from sim.draw import LOADED_S, VISIT_S, draw_load
@@ -52,7 +53,7 @@ class Case:
     seed : int
     table : Table
     robot : Robot
-    estimate, diagnose : options of either command
+    knowledge : what is stated besides the table
     loads : label -> true mass [kg] and centre of gravity [m] (4,)
     effects : effects that are present; None where no list exists
     """
@@ -61,22 +62,13 @@ class Case:
     seed: int
     table: Table
     robot: Robot
-    estimate: EstimateOptions
-    diagnose: DiagnoseOptions
+    knowledge: Knowledge
     loads: Mapping[str, Floats]
     effects: tuple[There, ...] | None = field(default=())
 
 
 def _parameters(load: Payload) -> Floats:
     return np.array([load.mass_kg, *load.com_m])
-
-
-def _drawn_options(cell: blind.BlindCell) -> tuple[EstimateOptions, DiagnoseOptions]:
-    arm = cell.arm
-    return (
-        EstimateOptions(inertials="prior:0.05", known=arm.known, efficiency=tuple(arm.efficiency.tolist())),
-        DiagnoseOptions(inertials="prior:0.05", known=arm.known, efficiency=arm.efficiency, gear_ratio=arm.gear_ratio),
-    )
 
 
 def _drawn(seed: int) -> Case:
@@ -87,7 +79,7 @@ def _drawn(seed: int) -> Case:
     pairs = zip(cell.truth.effects, cell.truth.strengths, strict=True)
     effects = tuple(there([str(e["name"])], e["joints"], s) for e, s in pairs)  # type: ignore[arg-type]
     loads = {"tool": _parameters(cell.arm.loads["tool"])}
-    return Case("", seed, table, robot, *_drawn_options(cell), loads, None if cell.truth.kind == "off" else effects)
+    return Case("", seed, table, robot, blind_knowledge(cell), loads, None if cell.truth.kind == "off" else effects)
 
 
 def _one_sided(seed: int) -> Case:
@@ -114,7 +106,7 @@ def _several(seed: int) -> Case:
     columns = measure(arm.chain, arm.plant, [*cell.visits, *more], loads, arm.protocol, rng)
     robot = robot_from_urdf(arm.urdf, f"seed {seed}")
     truth = {label: _parameters(load) for label, load in loads.items()}
-    return Case("", seed, simulated_table(columns), robot, *_drawn_options(cell), truth)
+    return Case("", seed, simulated_table(columns), robot, blind_knowledge(cell), truth)
 
 
 def _of_nature(cell: NatureCell) -> Case:
@@ -123,7 +115,7 @@ def _of_nature(cell: NatureCell) -> Case:
     pairs = zip(cell.effects, cell.strengths, strict=True)
     effects = tuple(there(MECHANISMS[e.mechanism], e.joints, s) for e, s in pairs)
     loads = {"tool": _parameters(cell.arm.tool)}
-    return Case("", cell.seed, table, robot, estimate_options(cell), diagnose_options(cell), loads, effects)
+    return Case("", cell.seed, table, robot, knowledge_of(cell), loads, effects)
 
 
 def _nature(seed: int) -> Case:
@@ -140,12 +132,11 @@ def _stored_bare(seed: int) -> Case:
     """Loaded poses of a nature arm, against a stored identification of the unloaded arm."""
     drawn_cell = _nature(seed)
     bare_rows = np.asarray(drawn_cell.table.load) == "none"
-    bare = estimate(drawn_cell.table.take(bare_rows), drawn_cell.robot, drawn_cell.estimate).bare
+    bare = estimate(drawn_cell.table.take(bare_rows), drawn_cell.robot, drawn_cell.knowledge).bare
     return replace(
         drawn_cell,
         table=drawn_cell.table.take(~bare_rows),
-        estimate=replace(drawn_cell.estimate, bare=bare),
-        diagnose=replace(drawn_cell.diagnose, bare=bare),
+        knowledge=replace(drawn_cell.knowledge, bare=bare),
     )
 
 
@@ -181,19 +172,14 @@ def _axes(seed: int) -> Case:
         time=np.array(time_s), direction=np.array(direction), count=100,
     )  # fmt: skip
     truth = {"tool": np.array([mass, *com])}
-    options = DiagnoseOptions(inertials="prior:0.05", gain_std=(0.0,) * axes)
-    return Case("", seed, table, robot, EstimateOptions("prior:0.05", gain_std=(0.0,) * axes), options, truth)
+    return Case("", seed, table, robot, Knowledge(link_std=0.05, gain_std=(0.0,) * axes), truth)
 
 
 def _moving(seed: int) -> Case:
     """A bare and a loaded run along an excitation trajectory; what is known of the torque constants in turn."""
     cell = draw_moving_cell(seed, TIERS[seed % len(TIERS)], periods=2, rate_hz=50.0)
-    options = cell.options
-    diagnosis = DiagnoseOptions(
-        inertials=options.inertials, gain_std=options.gain_std, efficiency=np.array(options.efficiency)
-    )
     robot = robot_from_urdf(cell.stated.urdf, f"seed {seed}")
-    return Case("", seed, cell.table(), robot, options, diagnosis, {"tool": _parameters(cell.arm.tool)})
+    return Case("", seed, cell.table(), robot, cell.knowledge, {"tool": _parameters(cell.arm.tool)})
 
 
 #: Conditions in the order in which they alternate.

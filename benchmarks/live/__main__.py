@@ -6,11 +6,10 @@ python -m benchmarks.live [--out out/live] [--minutes 8] [--clicks 12] [--alone]
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
-from benchmarks.figure import show
+from benchmarks.figure import conclude, write
 from benchmarks.live import cost, parts
 
 PARTS = ("cost", "seen", "stopped", "mistreated", "paired")
@@ -43,9 +42,8 @@ def main(argv: list[str]) -> int:
     figures: dict[str, dict] = {}
     for part in arguments.parts or PARTS:
         figures |= jobs[part]()
-        (out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
-    show(figures)
-    return 0 if all(entry.get("met") is not False for entry in figures.values()) else 1
+        write(figures, out)
+    return conclude(figures, out)
 
 
 if __name__ == "__main__":

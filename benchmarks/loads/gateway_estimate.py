@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from benchmarks.loads.bodies import Identified
 from benchmarks.naming.cells import Cell
-from gateway.estimate import EstimateOptions, run
+from gateway.estimate import run
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
 
 AXES = ("coulomb_nm", "viscous_nm_s_rad", "rotor_inertia_kg_m2")
@@ -12,10 +13,8 @@ AXES = ("coulomb_nm", "viscous_nm_s_rad", "rotor_inertia_kg_m2")
 
 def identify(cell: Cell, moving: bool) -> Identified:
     """Estimate the load of a cell."""
-    options = EstimateOptions(
-        inertials=f"prior:{cell.link_std:.6g}", gain_std=cell.gain_std, efficiency=cell.efficiency
-    )
-    result = run(cell.table, robot_from_urdf(cell.urdf, cell.name), options)
+    knowledge = Knowledge(link_std=cell.link_std, gain_std=cell.gain_std, efficiency=cell.efficiency)
+    result = run(cell.table, robot_from_urdf(cell.urdf, cell.name), knowledge)
     axes = {name: tuple(float(getattr(each, name)) for each in result.motion) for name in AXES if moving}
     if "gain" in result.nuisance:
         axes["gain"] = tuple(map(float, result.nuisance["gain"].value))

@@ -10,7 +10,6 @@ tuned on. Of each tier so many cells are run.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -38,16 +37,13 @@ def main(argv: list[str]) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from rich.console import Console
 
-    from benchmarks.blind.shares import Figures, figure_table
+    from benchmarks.figure import Figures, conclude
 
     found: Figures = {}
     for part in arguments.parts.split(","):
         found |= {"cells": _cells, "bus": _bus, "plans": _plans, "timing": _timing}[part](arguments)
-    Console(width=150).print(figure_table(found))
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
-    return 0 if all(entry["met"] is not False for entry in found.values()) else 1
+    return conclude(found, arguments.out)
 
 
 def _cells(arguments: argparse.Namespace) -> dict[str, dict]:

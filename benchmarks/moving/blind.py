@@ -14,7 +14,6 @@ Development seeds start at 0, test seeds at 30000.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -29,7 +28,7 @@ from benchmarks.moving.oracle import beyond_nuisances
 from benchmarks.nature.moving_cell import FINE, reported_nm
 from benchmarks.nature.moving_effects import MAKERS, MovingEffect
 from benchmarks.one_thread import one_thread
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
 from gateway.errors import GatewayError
 from gateway.model.robot import robot_from_urdf
 from sim.blind import closest, wanted_strength
@@ -70,12 +69,9 @@ def drawn(seed: int) -> tuple[MovingCell, float]:
 def run_cell(seed: int) -> dict:
     """Draw, measure, diagnose and score one seed."""
     cell, size = drawn(seed)
-    options = DiagnoseOptions(
-        inertials=cell.options.inertials, gain_std=cell.gain_std, efficiency=np.array(cell.options.efficiency)
-    )
     found, loads = (), ()
     try:
-        result = diagnose(cell.table(), robot_from_urdf(cell.stated.urdf, f"seed {seed}"), options)
+        result = diagnose(cell.table(), robot_from_urdf(cell.stated.urdf, f"seed {seed}"), cell.knowledge)
         verdict, loads = result.verdict, result.loads
         found = tuple((effect.name, tuple(effect.joints)) for effect in result.effects)
     except GatewayError as error:
@@ -103,7 +99,7 @@ def run_cell(seed: int) -> dict:
 
 def figures(cells: Sequence[dict]) -> dict[str, dict]:
     """Shares of right and false names, error of the load and coverage of its intervals."""
-    from benchmarks.blind.shares import middle, share
+    from benchmarks.figure import middle, share
 
     clean = [cell for cell in cells if cell["mechanism"] == "none"]
     asked = [cell for cell in cells if cell["strength"] >= LEAST]
@@ -144,7 +140,7 @@ def main(argv: list[str]) -> int:
     from rich.table import Table
 
     from benchmarks.blind.__main__ import run
-    from benchmarks.blind.shares import figure_table
+    from benchmarks.figure import conclude
 
     arguments.out.mkdir(parents=True, exist_ok=True)
     first = FIRST[arguments.seeds]
@@ -157,9 +153,8 @@ def main(argv: list[str]) -> int:
         words = ", ".join(f"{-count} {word}" for count, word in counts)
         table.add_row(name, str(len(rows)), *(str(sum(c[key] for c in rows)) for key in ("right", "misnamed")), words)
     found = figures(cells)
-    Console(width=150).print(table, figure_table(found))
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
-    return 0 if all(entry["met"] is not False for entry in found.values()) else 1
+    Console(width=150).print(table)
+    return conclude(found, arguments.out)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,9 @@ from benchmarks.nature.moving_cell import PeriodicMotion, measure_moving
 from benchmarks.nature.moving_effects import MovingEffect
 from gateway.data.rows import MOVING, Table, concatenate
 from gateway.errors import GatewayError
-from gateway.estimate import EstimateOptions, run
+from gateway.estimate import run
 from gateway.excite.excitation import Series, fingerprint
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
 from tests.support.rigs.tables import make_table
 
@@ -65,10 +66,10 @@ class MovingCell:
         return self.stated.link_std
 
     @property
-    def options(self) -> EstimateOptions:
-        """What the owner states, as options of an estimate."""
-        return EstimateOptions(
-            inertials=f"prior:{self.stated.link_std:.6g}",
+    def knowledge(self) -> Knowledge:
+        """What the owner states."""
+        return Knowledge(
+            link_std=self.link_std,
             gain_std=self.gain_std,
             efficiency=tuple(self.stated.efficiency.tolist()),
         )
@@ -137,7 +138,7 @@ def run_cell(task: tuple[int, str]) -> dict:
     table, robot = cell.table(), robot_from_urdf(cell.stated.urdf, f"seed {cell.seed}")
     begin, refused, result = time.process_time(), "", None
     try:
-        result = run(table, robot, cell.options)
+        result = run(table, robot, cell.knowledge)
     except GatewayError as error:
         refused = str(error)
     taken_s = time.process_time() - begin

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.blind.figures import bootstrap
-from benchmarks.blind.shares import Figures, middle, reached, share
+from benchmarks.figure import Figures, bootstrap, figure, middle, share
 from benchmarks.moving.scores import AXIS_NAMES
 
 Floats = NDArray[np.float64]
@@ -111,14 +110,11 @@ def _axes(cells: Sequence[Cell], name: str, key: str) -> Floats:
 def _rms(values: Floats, goal: str, unit: str) -> dict:
     known, unit = values[np.isfinite(values)], f"{unit} of {int(np.isfinite(values).sum())}"
     if not len(known):
-        return {"value": float("nan"), "interval": [float("nan")] * 2, "unit": unit, "goal": goal, "met": None}
+        return figure(float("nan"), unit=unit)
     squares = np.square(known)
     value, (low, high) = float(np.sqrt(squares.mean())), bootstrap(squares.tolist(), np.mean)
-    interval = [float(np.sqrt(low)), float(np.sqrt(high))]
-    return {"value": value, "interval": interval, "unit": unit, "goal": goal, "met": reached(value, goal)}
+    return figure(value, goal, unit, [float(np.sqrt(low)), float(np.sqrt(high))])
 
 
 def _count(hits: Sequence[float], goal: str = "printed") -> dict:
-    value = float(np.sum(hits))
-    met = True if goal == "printed" else value == 0.0
-    return {"value": value, "interval": [value, value], "unit": f"of {len(hits)}", "goal": goal, "met": met}
+    return figure(float(np.sum(hits)), goal, f"of {len(hits)}")

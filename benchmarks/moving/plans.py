@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from benchmarks.blind.shares import Figures, reached
+from benchmarks.figure import Figures, figure
 from gateway.cell.config import load_cell
 from gateway.excite.planning import MovingRequest, make_moving_plan
 
@@ -23,11 +23,7 @@ def plan_figures() -> Figures:
         taken_s = time.process_time() - begun
         duration_s = sum(excitation.periods * excitation.period_s for excitation in plan.excitations)
         ratio = float(plan.expected["over_random"])
-        out[f"{arm} arm: expected standard deviation over the best of random motions"] = _figure(ratio, "<= 0.7")
-        out[f"{arm} arm: motion for a load"] = _figure(duration_s, "<= 30", "s")
-        out[f"{arm} arm: planning, processor time"] = _figure(taken_s, "printed", "s")
+        out[f"{arm} arm: expected standard deviation over the best of random motions"] = figure(ratio, "<= 0.7")
+        out[f"{arm} arm: motion for a load"] = figure(duration_s, "<= 30", "s")
+        out[f"{arm} arm: planning, processor time"] = figure(taken_s, "printed", "s")
     return out
-
-
-def _figure(value: float, goal: str, unit: str = "") -> dict:
-    return {"value": value, "interval": [value, value], "unit": unit, "goal": goal, "met": reached(value, goal)}

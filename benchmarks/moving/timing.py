@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
-from benchmarks.blind.shares import Figures, reached
+from benchmarks.figure import Figures, figure
 from benchmarks.moving.cells import draw_cell
 from gateway.data.rows import Table
 from gateway.estimate import estimate
@@ -27,22 +27,22 @@ def timing_figures() -> Figures:
     """Processor time of an identification, and its ratio to plain least squares through pinocchio's regressors."""
     cell = draw_cell(SEED, "stated", periods=PERIODS, rate_hz=RATE_HZ)
     table, robot = cell.table(), robot_from_urdf(cell.stated.urdf, "timed")
-    own = [_seconds(lambda: estimate(table, robot, cell.options)) for _ in range(ROUNDS)]
+    own = [_seconds(lambda: estimate(table, robot, cell.knowledge)) for _ in range(ROUNDS)]
     plain = [
         _seconds(lambda: plain_least_squares(cell.stated.urdf, cell.stated.link_std, table)) for _ in range(ROUNDS)
     ]
     ratio = float(np.median(own) / np.median(plain))
     rows = f"s of {ROUNDS}, {len(table)} rows"
     return {
-        "identification of 60 s at 250 Hz, processor time": _figure(own, "<= 3", rows),
-        "the same least squares through pinocchio, processor time": _figure(plain, "printed", rows),
-        "identification over the same least squares through pinocchio": {
-            "value": ratio,
-            "interval": [min(own) / max(plain), max(own) / min(plain)],
-            "unit": "",
-            "goal": "<= 0.7",
-            "met": reached(ratio, "<= 0.7"),
-        },
+        "identification of 60 s at 250 Hz, processor time": figure(
+            float(np.median(own)), "<= 3", rows, (min(own), max(own))
+        ),
+        "the same least squares through pinocchio, processor time": figure(
+            float(np.median(plain)), "printed", rows, (min(plain), max(plain))
+        ),
+        "identification over the same least squares through pinocchio": figure(
+            ratio, "<= 0.7", interval=(min(own) / max(plain), max(own) / min(plain))
+        ),
     }
 
 
@@ -83,14 +83,3 @@ def _seconds(work: Callable[[], object]) -> float:
     begun = time.process_time()
     work()
     return time.process_time() - begun
-
-
-def _figure(times: list[float], goal: str, unit: str) -> dict:
-    value = float(np.median(times))
-    return {
-        "value": value,
-        "interval": [min(times), max(times)],
-        "unit": unit,
-        "goal": goal,
-        "met": reached(value, goal),
-    }

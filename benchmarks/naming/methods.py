@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from benchmarks.naming.answers import Answer
 from benchmarks.naming.cells import Cell
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
 from gateway.errors import GatewayError
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem, term_columns
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import MISTAKES, terms_at_rest
@@ -77,7 +78,7 @@ class Columns:
 def columns_of(cell: Cell) -> Columns:
     """Build the regression problem of a cell."""
     rows = pair_visits(cell.table, cell.efficiency)
-    knowledge = Knowledge(inertials=f"prior:{cell.link_std:.6g}", gain_std=cell.gain_std)
+    knowledge = Knowledge(link_std=cell.link_std, gain_std=cell.gain_std)
     problem = build_problem(robot_from_urdf(cell.urdf, cell.name), rows, knowledge)
     null = fit_without_effects(problem)
     noise = first_noise(problem)
@@ -200,8 +201,8 @@ def answer_of(method: str, cell: Cell, seed: int) -> Answer:
 
 
 def _gateway(cell: Cell) -> tuple[Named, bool, tuple[float, ...] | None, tuple[float, ...] | None]:
-    options = DiagnoseOptions(
-        inertials=f"prior:{cell.link_std:.6g}",
+    options = Knowledge(
+        link_std=cell.link_std,
         efficiency=np.array(cell.efficiency),
         gear_ratio=None if cell.gear_ratio is None else np.array(cell.gear_ratio),
         gain_std=cell.gain_std,

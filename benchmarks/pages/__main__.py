@@ -9,13 +9,12 @@ chromium-driver and poppler-utils.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
-from benchmarks.figure import figure, show
+from benchmarks.figure import conclude, figure
 from tests.support.pages.browser import BrowserMissing, browser
 from tests.support.pages.faults import Fault, faults_of
 from tests.support.pages.fleet import fleet_pages
@@ -46,10 +45,7 @@ def main(argv: list[str]) -> int:
     figures = {"pages opened in three layouts": figure(opened, ">= 8")}
     for kind in ("overlap", "cut off", "orphan heading"):
         figures[f"elements: {kind}"] = figure(sum(fault.kind == kind for fault in found), "== 0")
-    show(figures)
-    summary = {"figures": figures, "faults": [asdict(fault) for fault in found]}
-    (arguments.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    return 0 if all(entry["met"] for entry in figures.values()) else 1
+    return conclude(figures, arguments.out, faults=[asdict(fault) for fault in found])
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ interrupted, or whose `--minutes` have passed, prints the completed stages.
 from __future__ import annotations
 
 import argparse
-import json
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from benchmarks.figure import show
+from benchmarks.figure import conclude, figure
 from benchmarks.pair.bus_figures import figures
 from benchmarks.pair.bus_rig import CELL
 from benchmarks.pair.bus_tier import BusTier
@@ -67,23 +67,12 @@ def main(argv: list[str]) -> int:
     show_seeds(rows)
     out |= figures(rows, LIMIT_N, judged=arguments.full) | costs(rows, done)
     minutes = (time.monotonic() - began) / 60.0
-    out["duration"] = {
-        "value": minutes,
-        "interval": None,
-        "unit": f"min, {arguments.jobs} processes; {sum(one['minutes'] for one in done):.0f} min of runs",
-        "goal": "",
-        "met": None,
-    }
+    unit = f"min, {arguments.jobs} processes; {sum(one['minutes'] for one in done):.0f} min of runs"
+    out["duration"] = figure(minutes, unit=unit)
     if any(one["curves"] for one in done):
         report(arguments.out, done)
     print(*tier.failed, sep="\n")
-    plain = {
-        name: figure | {"met": figure["met"] if figure["met"] in (True, False) else None}
-        for name, figure in out.items()
-    }
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": plain}, indent=1) + "\n")
-    show(plain)
-    return 0 if all(figure["met"] is not False for figure in plain.values()) and not tier.failed else 1
+    return conclude(out, arguments.out) or int(bool(tier.failed))
 
 
 def timing() -> dict[str, dict]:
@@ -92,25 +81,21 @@ def timing() -> dict[str, dict]:
 
     once = evaluation_s()
     steady, clock = lockstep(), by_the_clock()
-    out: dict[str, dict] = {}
-
-    def add(name: str, value: float, unit: str, goal: str = "", met: bool | None = None) -> None:
-        if value == value:  # not NaN
-            out[name] = {"value": value, "interval": None, "unit": unit, "goal": goal, "met": met}
-
-    add("function evaluation", 1e6 * once, "us", "<= 50", once <= 50e-6)
     unit = f"of {steady['cycles']} cycles in lockstep, 12 drives, physics left out"
-    add("incomplete epochs", steady["incomplete"], unit, "0", steady["incomplete"] == 0)
-    add("cycle in lockstep, 12 drives", 1e3 * steady["cycle_s"], "ms, physics left out")
     ended = clock["ended"][:70] or "to the end"
-    add("real time: cycles until the end", clock["cycles"], f"of {clock['wanted']}; {ended}")
-    add("real time: cycles with a delayed answer", 1e2 * clock["late_share"], f"% of {clock['cycles']}")
-    add("real time: jitter p50", 1e6 * clock["jitter_p50_s"], "us")
-    add("real time: jitter p99", 1e6 * clock["jitter_p99_s"], "us")
-    add("real time: skew of the SYNCs p50", 1e6 * clock["skew_p50_s"], "us")
-    add("real time: skew of the SYNCs p99", 1e6 * clock["skew_p99_s"], "us")
-    add("planned bus load", clock["load_percent"], "%, worst case")
-    return out
+    out = {
+        "function evaluation": figure(1e6 * once, "<= 50", "us"),
+        "incomplete epochs": figure(steady["incomplete"], "== 0", unit),
+        "cycle in lockstep, 12 drives": figure(1e3 * steady["cycle_s"], unit="ms, physics left out"),
+        "real time: cycles until the end": figure(clock["cycles"], unit=f"of {clock['wanted']}; {ended}"),
+        "real time: cycles with a delayed answer": figure(1e2 * clock["late_share"], unit=f"% of {clock['cycles']}"),
+        "real time: jitter p50": figure(1e6 * clock["jitter_p50_s"], unit="us"),
+        "real time: jitter p99": figure(1e6 * clock["jitter_p99_s"], unit="us"),
+        "real time: skew of the SYNCs p50": figure(1e6 * clock["skew_p50_s"], unit="us"),
+        "real time: skew of the SYNCs p99": figure(1e6 * clock["skew_p99_s"], unit="us"),
+        "planned bus load": figure(clock["load_percent"], unit="%, worst case"),
+    }
+    return {name: entry for name, entry in out.items() if not math.isnan(entry["value"])}
 
 
 def costs(rows: Sequence[dict[str, Any]], done: Sequence[dict[str, Any]]) -> dict[str, dict]:
@@ -120,14 +105,9 @@ def costs(rows: Sequence[dict[str, Any]], done: Sequence[dict[str, Any]]) -> dic
     incomplete = sum(one["statistics"]["incomplete"] for one in done)
     cycles = sum(one["statistics"]["cycles"] for one in done)
     return {
-        "learning step over the cycle's time": {
-            "value": 1e2 * share, "interval": None, "unit": "%, slowest", "goal": "<= 5",
-            "met": None if share != share else share <= 0.05,
-        },
-        "incomplete epochs of the rows": {
-            "value": incomplete, "interval": None, "unit": f"of {cycles} epochs", "goal": "", "met": None,
-        },
-    }  # fmt: skip
+        "learning step over the cycle's time": figure(1e2 * share, "<= 5" if usual else "printed", "%, slowest"),
+        "incomplete epochs of the rows": figure(incomplete, unit=f"of {cycles} epochs"),
+    }
 
 
 def show_seeds(rows: Sequence[dict[str, Any]]) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.figures import clopper_pearson
+from benchmarks.figure import clopper_pearson, figure
 from benchmarks.pair.bus_rows import BETWEEN, FAST, LEARNING, STATIC, USUAL
 
 Row = dict[str, Any]
@@ -64,28 +64,16 @@ def _either(one: bool | None, two: bool | None) -> bool | None:
 
 def _share(hits: int, total: int, goal: str, needed: float | None) -> Figure:
     value = hits / total if total else NAN
-    met = None if needed is None or not total else bool(value >= needed)
-    return {
-        "value": value,
-        "interval": clopper_pearson(hits, total),
-        "unit": f"of {total} seeds",
-        "goal": goal,
-        "met": met,
-    }
+    met = None if needed is None or not total else value >= needed
+    return figure(value, unit=f"of {total} seeds", interval=clopper_pearson(hits, total)) | {"goal": goal, "met": met}
 
 
 def _value(values: Sequence[float], unit: str, goal: str, met: Callable[[Sequence[float]], bool] | None) -> Figure:
     known = [value for value in values if not np.isnan(value)]
     if not known:
-        return {"value": NAN, "interval": [NAN, NAN], "unit": unit, "goal": goal, "met": None}
-    spread = [float(min(known)), float(max(known))]
-    return {
-        "value": float(np.median(known)),
-        "interval": spread,
-        "unit": f"{unit}, {len(known)} seeds",
-        "goal": goal,
-        "met": met(known) if met else None,
-    }
+        return figure(NAN, unit=unit)
+    entry = figure(float(np.median(known)), unit=f"{unit}, {len(known)} seeds", interval=(min(known), max(known)))
+    return entry | {"goal": goal, "met": bool(met(known)) if met else None}
 
 
 def _most(limit: float) -> Callable[[Sequence[float]], bool]:
@@ -176,22 +164,13 @@ def _intervals(rows: Sequence[Row]) -> dict[str, Figure]:
         return {}
     held = np.array([row["held"] for row in held_rows])
     share, each = float(held.mean()), held.mean(axis=0)
+    unit = f"of {len(held_rows)} cycles; least and most of six components"
     half = float(np.median([row["half_n"] for row in held_rows]))
     return {
-        "95 % intervals of the force that hold the truth": {
-            "value": share,
-            "interval": [float(each.min()), float(each.max())],
-            "unit": f"of {len(held_rows)} cycles; least and most of six components",
-            "goal": "0.93 .. 0.97",
-            "met": 0.93 <= share <= 0.97,
-        },
-        "half width of these intervals, median": {
-            "value": half,
-            "interval": None,
-            "unit": "N",
-            "goal": "<= 10",
-            "met": half <= 10.0,
-        },
+        "95 % intervals of the force that hold the truth": figure(
+            share, "0.93 .. 0.97", unit, (float(each.min()), float(each.max()))
+        ),
+        "half width of these intervals, median": figure(half, "<= 10", "N"),
     }
 
 

@@ -11,7 +11,6 @@ after a delayed SYNC; any other stop fails.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import re
 import sys
@@ -31,7 +30,7 @@ import numpy as np
 
 from benchmarks.chaos.processes import PAIR_EXAMPLE, answer, drives, pair_cell
 from benchmarks.chaos.programs import pair_bus
-from benchmarks.figure import figure, show
+from benchmarks.figure import conclude, figure
 from benchmarks.pair.bus_rig import Power, bus_spec, patient_cell
 from benchmarks.pair.inline import inline
 from drives.errors import DriveError, MasterStalled
@@ -395,12 +394,7 @@ def stops(what: str, clock: list[Cycles]) -> dict[str, dict]:
 
 def plain(values: Sequence[float] | Floats, unit: str) -> dict[str, Any]:
     """The largest of some figures without a goal."""
-    return {
-        "value": float(max(values)),
-        "interval": [float(min(values)), float(max(values))],
-        "unit": unit,
-        "met": None,
-    }
+    return figure(float(max(values)), unit=unit, interval=(float(min(values)), float(max(values))))
 
 
 def main(argv: list[str]) -> int:
@@ -433,12 +427,10 @@ def main(argv: list[str]) -> int:
         out |= gap_figures(gaps)
         attempts += gaps
     arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": out}, indent=1) + "\n")
     for one in attempts:
         for why in (*one.stalled, *one.delayed, *one.stopped):
             print(f"seed {one.seed}, stopped: {why}")
-    show(out)
-    return 0 if all(entry["met"] is not False for entry in out.values()) else 1
+    return conclude(out, arguments.out)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from benchmarks.figure import show
+from benchmarks.figure import conclude, figure
 from benchmarks.pair.bus_rig import CELL, inline_rig
 from benchmarks.pair.bus_rows import USUAL, Bench, Taught
 
@@ -49,9 +49,7 @@ def main(argv: list[str]) -> int:
             print(f"{cell}, seed {seed}: done", flush=True)
         figures |= figures_of_cell(cell, [run for run in runs if run["cell"] == cell])
     show_runs(runs)
-    show(figures)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
-    return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
+    return conclude(figures, arguments.out)
 
 
 def runs_of(cell: str, seed: int) -> list[dict[str, Any]]:
@@ -101,20 +99,18 @@ def figures_of_cell(cell: str, runs: Sequence[dict[str, Any]]) -> dict[str, dict
     unit = f"N, largest of {seeds} seeds"
     return {
         **{
-            f"{cell}: row {name}, true force": _figure(max(max(r["force_n"]) for r in runs if r["row"] == name), unit)
+            f"{cell}: row {name}, true force": figure(
+                max(max(r["force_n"]) for r in runs if r["row"] == name), unit=unit
+            )
             for name in ("A", "B", "C1i")
         },
-        f"{cell}: C8, last cycle": _figure(last, unit, f"<= {limit_n:g}", last <= limit_n),
-        f"{cell}: C8, cycles before it stays inside": _figure(
-            most, f"most of {seeds} seeds; {inside.count(None)} never", "", None
+        f"{cell}: C8, last cycle": figure(last, f"<= {limit_n:g}", unit),
+        f"{cell}: C8, cycles before it stays inside": figure(
+            most, unit=f"most of {seeds} seeds; {inside.count(None)} never"
         ),
-        f"{cell}: truth held by intervals": _figure(1e2 * held, "%, all rows", f">= {1e2 * HELD:g}", held >= HELD),
-        f"{cell}: truth held, worst run and component": _figure(1e2 * least, "%"),
+        f"{cell}: truth held by intervals": figure(1e2 * held, f">= {1e2 * HELD:g}", "%, all rows"),
+        f"{cell}: truth held, worst run and component": figure(1e2 * least, unit="%"),
     }
-
-
-def _figure(value: float, unit: str, goal: str = "", met: bool | None = None) -> dict[str, Any]:
-    return {"value": value, "interval": None, "unit": unit, "goal": goal, "met": met}
 
 
 def show_runs(runs: Sequence[dict[str, Any]]) -> None:

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.figure import figure, show
+from benchmarks.figure import conclude, figure
 from benchmarks.space.cells import DrawnCell, draw
 from benchmarks.space.checker import Judge, sampled
-from gateway.acquire.plan import Approach, MoveTo, Plan
+from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan
 from gateway.cell.config import load_cell
 from gateway.errors import PlanRefused
@@ -48,9 +48,7 @@ def main(argv: list[str]) -> int:
         print(f"{number + 1}/{arguments.cells[1]}: {judged}", file=sys.stderr, flush=True)
     cells = [json.loads(file.read_text()) for file in sorted(kept.glob("*.json"))]
     figures = figures_of(cells)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
-    show(figures)
-    return 0 if all(item["met"] is not False for item in figures.values()) else 1
+    return conclude(figures, arguments.out)
 
 
 def figures_of(cells: list[dict]) -> dict[str, dict]:
@@ -101,7 +99,7 @@ def judge(cell: DrawnCell) -> dict:
 
 def path_of(plan: Plan) -> np.ndarray:
     """Corners (n, N) [rad] of the path of a plan."""
-    return np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
+    return plan.corners_rad
 
 
 if __name__ == "__main__":

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import sys
 from pathlib import Path
 
-from benchmarks.figure import show
+from benchmarks.figure import conclude
 
 PARTS = sorted(path.stem for path in Path(__file__).parent.glob("[a-z]*.py"))
 
@@ -30,10 +29,7 @@ def main(argv: list[str]) -> int:
     figures: dict[str, dict] = {}
     for part in arguments.parts or PARTS:
         figures |= importlib.import_module(f"benchmarks.strangers.{part}").figures()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
-    show(figures)
-    return 0 if all(item["met"] is not False for item in figures.values()) else 1
+    return conclude(figures, arguments.out)
 
 
 if __name__ == "__main__":

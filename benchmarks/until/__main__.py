@@ -6,15 +6,13 @@ python -m benchmarks.until [--out out/until] [--cells 100] [--first 400] [times]
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.blind.shares import share
-from benchmarks.figure import show
+from benchmarks.figure import conclude, share
 from benchmarks.until import offline, times
 
 PARTS = ("times", "coverage")
@@ -56,10 +54,7 @@ def main(argv: list[str]) -> int:
         figures |= times.figures()
     if "coverage" in parts:
         figures |= coverage(arguments.first, arguments.cells)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
-    show(figures)
-    return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
+    return conclude(figures, arguments.out)
 
 
 if __name__ == "__main__":

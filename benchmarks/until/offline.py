@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.acquire.until.choice import Candidates, Sampling, best_first, judge
-from gateway.acquire.until.goal import Goal, half_widths
+from gateway.acquire.until_goal import Goal, best_first, half_widths, judge
 from gateway.data.table import Table, concatenate
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.expected_information import Sought, Stock, take_stock
 from gateway.estimate.joint import estimate_joint
-from gateway.estimate.options import EstimateOptions
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
@@ -29,7 +28,7 @@ from tests.support.rigs.tables import simulated_table
 LABEL = "tool"
 BARE_POSES = 14
 CANDIDATES = 200
-SAMPLING = Sampling(period_s=0.01, most=100)
+PERIOD_S, MOST_SAMPLES = 0.01, 100
 SPEED_RAD_S, RAMP_S, SIDES_S = 0.5, 0.6, 3.0
 STEP_S = 25.0
 APART_RAD = 0.3
@@ -59,9 +58,7 @@ class Cell:
         self.arm, self.now_s = arm, 0.0
         self.plant: Plant = replace(arm.plant, torque_constant_scale=1.0 / gain, friction_bias_nm=bias)
         self.robot = robot_from_urdf(arm.urdf, "drawn")
-        self.options = EstimateOptions(
-            inertials="prior:0.05", gain_std=(gain_std,) * 6, efficiency=tuple(arm.efficiency.tolist())
-        )
+        self.options = Knowledge(link_std=0.05, gain_std=(gain_std,) * 6, efficiency=tuple(arm.efficiency.tolist()))
         self.goal = Goal(
             mass_share=float(np.exp(self.rng.uniform(np.log(0.004), np.log(0.04)))),
             com_m=float(np.exp(self.rng.uniform(np.log(0.001), np.log(0.006)))),
@@ -94,8 +91,8 @@ class Cell:
 def run(seed: int) -> Outcome:
     """Both runs of one cell."""
     cell = Cell(seed)
-    bare = cell.table(cell.poses, "none", 1, SAMPLING.most)
-    fixed = _estimate(cell, [bare, cell.table(cell.poses, LABEL, 1, SAMPLING.most)])
+    bare = cell.table(cell.poses, "none", 1, MOST_SAMPLES)
+    fixed = _estimate(cell, [bare, cell.table(cell.poses, LABEL, 1, MOST_SAMPLES)])
     stock, reached, poses, samples = _until(cell, bare)
     assert stock.load is not None
     return Outcome(
@@ -115,22 +112,21 @@ def _until(cell: Cell, bare: Table) -> tuple[Stock, bool, int, int]:
     """The load pose by pose, until the rule says stop."""
     chain = cell.arm.chain
     q_rad = cell.rng.uniform(0.95 * chain.lower_rad, 0.95 * chain.upper_rad, (CANDIDATES, 6))
-    choice = Candidates(q_rad, gravity_regressor(cell.robot, q_rad))
+    regressor = gravity_regressor(cell.robot, q_rad)
     guess = np.array([2.0 * cell.arm.loads[LABEL].mass_kg, 0.0, 0.0, 0.0])
-    parts, taken, at, samples = [bare], [], cell.poses[-1], SAMPLING.most
+    parts, taken, at, samples = [bare], [], cell.poses[-1], MOST_SAMPLES
     while True:
         visits, noise_nm = cell.visits(parts)
         stock = take_stock(visits, cell.robot, cell.options, Sought(LABEL, guess, noise_nm))
-        mass_kg = float(stock.outlook.moment[0])
-        verdict = judge(
-            stock.outlook, half_widths(stock.load), cell.goal.half_widths(mass_kg), len(taken), choice, SAMPLING
-        )
+        mass_kg = float(stock.information.moment[0])
+        half, goal = half_widths(stock.load), cell.goal.half_widths(mass_kg)
+        verdict = judge(stock.information, half, goal, len(taken), regressor, MOST_SAMPLES)
         if verdict.done:
             return stock, bool(verdict.reached.all()), len(taken), samples
         seconds = np.abs(q_rad - at).max(axis=1) / SPEED_RAD_S + RAMP_S + SIDES_S
         near = np.abs(q_rad[:, None] - q_rad[taken][None]).max(axis=2, initial=0.0) < APART_RAD
         rows, samples = best_first(
-            stock.outlook, verdict, choice, np.where(near.any(axis=1), np.inf, seconds), SAMPLING
+            stock.information, verdict, regressor, np.where(near.any(axis=1), np.inf, seconds), PERIOD_S, MOST_SAMPLES
         )
         row = int(rows[0])
         taken.append(row)

@@ -47,7 +47,7 @@ def figures(arms: Sequence[str] = ARMS) -> dict[str, dict]:
             until_s / today_s, "<= 0.6"
         )
         found |= {
-            f"{arm} arm: {name}": {"value": value, "unit": unit, "goal": "printed", "met": None}
+            f"{arm} arm: {name}": figure(value, unit=unit)
             for name, value, unit in (
                 ("time of today's poses", today_s, "s"),
                 ("time until as well known", until_s, "s"),

@@ -5,14 +5,13 @@ to identify the load.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from gateway.acquire.plan import Plan, check_plan, plan_poses
 from gateway.acquire.planning import CHOICES, visit_settings
-from gateway.acquire.poses import DISTANCE_RAD, PoseRequest, feasible_postures
+from gateway.acquire.poses import DISTANCE_RAD, feasible_postures
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused
@@ -24,14 +23,6 @@ POSTURES: Final = 600
 MOST_POSES: Final = 12
 
 
-@dataclass(frozen=True, slots=True)
-class AcceptancePlan:
-    """Plan of an acceptance test, and the largest standard deviation of any torque error, relative to the tolerance."""
-
-    plan: Plan
-    resolution: float
-
-
 def workspace_postures(loaded: LoadedCell, workspace: Workspace) -> np.ndarray:
     """Return random postures (m, N) [rad] at which the arm can be measured; the same for every call.
 
@@ -41,8 +32,8 @@ def workspace_postures(loaded: LoadedCell, workspace: Workspace) -> np.ndarray:
         Too few postures are feasible.
     """
     poses = loaded.cell.poses
-    request = PoseRequest(MOST_POSES, 0, poses.approach_offset_rad, poses.seed)
-    return feasible_postures(workspace, request, np.random.default_rng([poses.seed, 1]))[:POSTURES]
+    random = np.random.default_rng([poses.seed, 1])
+    return feasible_postures(workspace, MOST_POSES, poses.approach_offset_rad, random)[:POSTURES]
 
 
 def plan_acceptance(
@@ -52,8 +43,10 @@ def plan_acceptance(
     families: Callable[[np.ndarray], tuple[ErrorFamily, ...]],
     noise: np.ndarray,
     seen_rad: np.ndarray,
-) -> AcceptancePlan:
+) -> tuple[Plan, float]:
     """Choose the fewest poses that resolve every torque error, and plan checked paths over them.
+
+    Also return the largest standard deviation of any torque error, relative to the tolerance.
 
     Parameters
     ----------
@@ -92,7 +85,7 @@ def plan_acceptance(
         plan, unreachable = plan_poses(config.name, workspace, visits, visit_settings(loaded, config))
         if not unreachable:
             check_plan(plan, workspace)
-            return AcceptancePlan(plan, reached)
+            return plan, reached
         allowed = np.setdiff1d(allowed, [pose.number - 1 for pose in unreachable])
     raise PlanRefused(
         f"arm '{config.name}': the workspace cannot be covered: no path within the limits connects the poses of the"

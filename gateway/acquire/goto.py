@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from gateway.acquire.events import Listener
-from gateway.acquire.plan import MoveInwards, MoveTo, Plan, check_plan, plan_to
+from gateway.acquire.plan import MoveTo, Plan, check_plan, plan_to
 from gateway.acquire.planning import visit_settings
 from gateway.acquire.run_loop import MotionSource, Run
 from gateway.acquire.visit_store import MemoryStore
@@ -121,7 +121,7 @@ def remarks(plan: Plan, workspace: Workspace) -> tuple[str, ...]:
     said: list[str] = []
     start = np.array(plan.start_rad)
     for step in plan.steps:
-        if isinstance(step, MoveInwards):
+        if isinstance(step, MoveTo) and step.is_inwards:
             joints = np.flatnonzero(np.abs(np.array(step.q_rad) - start) > 0) + 1
             which = ", ".join(str(joint) for joint in joints)
             said.append(
@@ -129,7 +129,7 @@ def remarks(plan: Plan, workspace: Workspace) -> tuple[str, ...]:
                 f" {angles(step.q_rad)}"
             )
             start = np.array(step.q_rad)
-    points = [step.q_rad for step in plan.steps if isinstance(step, MoveTo)]
+    points = [step.q_rad for step in plan.steps if isinstance(step, MoveTo) and not step.is_inwards]
     if len(points) > 1:
         met = workspace.why_not_path(np.array([start, points[-1]]))
         over = ", then ".join(angles(point) for point in points[:-1])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gateway.acquire.passes import REST_S, Pass
-from gateway.acquire.route import Leg, Route, find_route, path_to
+from gateway.acquire.route import Leg, clearest_route, path_to
 from gateway.acquire.start_posture import inside_from
 from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused, WrongPlace
@@ -31,45 +31,28 @@ SAME_RAD = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class MoveTo:
-    """Step: straight joint motion at travel speed."""
+    """Step: straight joint motion, at travel speed.
+
+    `is_inwards`: slowly, of joints outside their range back into it; only as the first step.
+    """
 
     q_rad: tuple[float, ...]
+    is_inwards: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class MoveInwards:
-    """Step: slow straight motion of joints outside their range back into it; only as the first step."""
+class PoseVisit:
+    """Step: approach a pose slowly, wait until it has settled, and sample it.
 
-    q_rad: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Approach:
-    """Step: slow last motion to a pose; `direction` is its sign on every joint."""
+    `direction` is the sign of the approach on every joint.
+    """
 
     pose: int
     direction: int
     q_rad: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Settle:
-    """Step: wait until position and torque have settled."""
-
-    pose: int
-    timeout_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """Step: record complete SYNC epochs of the arm at rest."""
-
-    pose: int
-    direction: int
-    count: int
-
-
-Step = MoveTo | MoveInwards | Approach | Settle | Sample | Pass
+Step = MoveTo | PoseVisit | Pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +119,12 @@ class Plan:
     @property
     def visits(self) -> tuple[tuple[int, int], ...]:
         """(pose, direction) of every visit, in order."""
-        return tuple((step.pose, step.direction) for step in self.steps if isinstance(step, Sample))
+        return tuple((step.pose, step.direction) for step in self.steps if isinstance(step, PoseVisit))
+
+    @property
+    def corners_rad(self) -> np.ndarray:
+        """Postures (k, N) between which the arm moves in straight lines."""
+        return np.array([step.q_rad for step in self.steps if not isinstance(step, Pass)])
 
 
 def plan_poses(
@@ -150,22 +138,9 @@ def plan_poses(
 
     Paths may pass known postures (k, N) in addition to random ones.
     """
-    route = _route(workspace, poses, None, settings.approach_offset_rad, known_rad)
-    steps = tuple(_steps(route.legs, settings, {}))
-    plan = Plan(arm, tuple(poses), settings, None, steps, 0.0)
-    return replace(plan, duration_s=sum(step_durations(plan, workspace))), route.unreachable
-
-
-def _route(
-    workspace: Workspace,
-    poses: Sequence[RestPose],
-    start_rad: np.ndarray | None,
-    offset_rad: float,
-    known_rad: np.ndarray | None,
-) -> Route:
-    """Return a route with extra clearance along the paths, else one that is only collision-free."""
-    route = find_route(workspace.with_clearance(), poses, start_rad, offset_rad, known_rad)
-    return find_route(workspace, poses, start_rad, offset_rad, known_rad) if route.unreachable else route
+    legs, unreachable = clearest_route(workspace, poses, None, settings.approach_offset_rad, known_rad)
+    plan = Plan(arm, tuple(poses), settings, None, tuple(_steps(legs, settings, {})), 0.0)
+    return replace(plan, duration_s=sum(step_durations(plan, workspace))), unreachable
 
 
 def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Sequence[tuple[int, int]] = ()) -> Plan:
@@ -185,26 +160,25 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
     PlanRefused
         The arm is in a posture that is not allowed, or no checked path leads to a pose.
     """
-    inwards = inward_steps(workspace, start_rad, plan.arm)
-    begin_rad = np.array(inwards[-1].q_rad) if inwards else start_rad
+    inwards, begin_rad = inward_steps(workspace, start_rad, plan.arm)
     missing = {pose.number: tuple(side for side in SIDES if (pose.number, side) not in done) for pose in plan.poses}
     poses = [pose for pose in plan.poses if missing[pose.number]]
     passed = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo)]).reshape(-1, len(begin_rad))
-    route = _route(workspace, poses, begin_rad, plan.settings.approach_offset_rad, passed)
-    if route.unreachable:
+    legs, unreachable = clearest_route(workspace, poses, begin_rad, plan.settings.approach_offset_rad, passed)
+    if unreachable:
         raise WrongPlace(
-            f"no path within the limits leads from {angles(begin_rad)} to pose {route.unreachable[0].number} at "
-            f"{angles(route.unreachable[0].q_rad)}; move the arm elsewhere, or correct the assumed surroundings in"
+            f"no path within the limits leads from {angles(begin_rad)} to pose {unreachable[0].number} at "
+            f"{angles(unreachable[0].q_rad)}; move the arm elsewhere, or correct the assumed surroundings in"
             " the cell file (floor_m, wall, column_radius_m, link_radius_m, load_size_m)",
             plan.arm,
         )
-    steps = (*inwards, *_steps(route.legs, plan.settings, missing))
+    steps = (*inwards, *_steps(legs, plan.settings, missing))
     started = replace(plan, start_rad=tuple(float(value) for value in start_rad), steps=steps)
     return replace(started, duration_s=sum(step_durations(started, workspace)))
 
 
-def inward_steps(workspace: Workspace, start_rad: np.ndarray, arm: str) -> tuple[MoveInwards, ...]:
-    """Return the slow motion (one step) back into the joint range; empty for an arm inside its range.
+def inward_steps(workspace: Workspace, start_rad: np.ndarray, arm: str) -> tuple[tuple[MoveTo, ...], np.ndarray]:
+    """Return the slow motion (one step) back into the joint range, none for an arm inside it; and where it then is.
 
     Raises
     ------
@@ -212,7 +186,7 @@ def inward_steps(workspace: Workspace, start_rad: np.ndarray, arm: str) -> tuple
         The arm is in a posture that is not allowed, and no motion back into the joint range is allowed.
     """
     inside = inside_from(workspace, start_rad, arm)
-    return () if inside is None else (MoveInwards(tuple(inside.tolist())),)
+    return ((), start_rad) if inside is None else ((MoveTo(tuple(inside.tolist()), is_inwards=True),), inside)
 
 
 def plan_to(
@@ -234,8 +208,7 @@ def plan_to(
     PlanRefused
         One of the two postures is not allowed, or no checked path leads from one to the other.
     """
-    inwards = inward_steps(workspace, start_rad, arm)
-    begin_rad = np.array(inwards[-1].q_rad) if inwards else start_rad
+    inwards, begin_rad = inward_steps(workspace, start_rad, arm)
     reason = workspace.why_not(end_rad)
     if reason is not None:
         raise PlanRefused(f"arm '{arm}' may not rest at {angles(end_rad)}: {reason}; choose another posture")
@@ -246,15 +219,12 @@ def plan_to(
 
 
 def _steps(legs: Sequence[Leg], settings: VisitSettings, missing: Mapping[int, tuple[int, ...]]) -> Iterator[Step]:
-    for leg in legs:
-        for point in leg.via_rad:
+    for pose, via_rad in legs:
+        for point in via_rad:
             yield MoveTo(point)
-        number, q_rad = leg.pose.number, leg.pose.q_rad
-        for side in missing.get(number, SIDES):
-            yield MoveTo(tuple(value - side * settings.approach_offset_rad for value in q_rad))
-            yield Approach(number, side, q_rad)
-            yield Settle(number, settings.settle_timeout_s)
-            yield Sample(number, side, settings.samples)
+        for side in missing.get(pose.number, SIDES):
+            yield MoveTo(tuple(value - side * settings.approach_offset_rad for value in pose.q_rad))
+            yield PoseVisit(pose.number, side, pose.q_rad)
 
 
 def travel_limits(workspace: Workspace) -> MotionLimits:
@@ -268,34 +238,34 @@ def approach_limits(workspace: Workspace, speed_rad_s: float | np.ndarray) -> Mo
     return MotionLimits(speed, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
 
 
-def motion_limits(step: MoveTo | MoveInwards | Approach, workspace: Workspace, settings: VisitSettings) -> MotionLimits:
+def motion_limits(step: MoveTo | PoseVisit, workspace: Workspace, settings: VisitSettings) -> MotionLimits:
     """Return the speed, acceleration and jerk limits of the motion of a step."""
-    if isinstance(step, MoveTo):
-        return travel_limits(workspace)
-    inwards = isinstance(step, MoveInwards)
-    return approach_limits(workspace, workspace.inward_speed_rad_s() if inwards else settings.approach_speed_rad_s)
+    if isinstance(step, PoseVisit):
+        return approach_limits(workspace, settings.approach_speed_rad_s)
+    if step.is_inwards:
+        return approach_limits(workspace, workspace.inward_speed_rad_s())
+    return travel_limits(workspace)
 
 
 def step_durations(plan: Plan, workspace: Workspace, override: float = 1.0) -> list[float]:
-    """Return the expected time [s] of every step; the first move takes 0 s if the start is not known.
+    """Return the expected times [s] of the parts of all steps; the first move takes 0 s if the start is not known.
 
-    A pass, which is planned at its reduced speed, has two: the rest before it, and its periods.
+    A move has one part. A visit has three: approach, settling and sampling. A pass, which is planned at its reduced
+    speed, has two: the rest before it, and its periods.
     """
-    at = plan.start_rad
+    at, settings = plan.start_rad, plan.settings
     durations = []
     for step in plan.steps:
         if isinstance(step, Pass):
             durations += [REST_S, step.duration_s]
-        elif isinstance(step, Settle):
-            durations.append(min(TYPICAL_SETTLE_S, step.timeout_s) / override)
-        elif isinstance(step, Sample):
-            durations.append(step.count * plan.settings.period_s / override)
-        else:
-            limits = motion_limits(step, workspace, plan.settings)
-            start = np.array(step.q_rad if at is None else at)
-            motion = straight(start, np.array(step.q_rad), limits, plan.settings.period_s)
-            durations.append(motion.duration_s / override)
-            at = step.q_rad
+            continue
+        limits = motion_limits(step, workspace, settings)
+        start = np.array(step.q_rad if at is None else at)
+        durations.append(straight(start, np.array(step.q_rad), limits, settings.period_s).duration_s / override)
+        at = step.q_rad
+        if isinstance(step, PoseVisit):
+            parts_s = (min(TYPICAL_SETTLE_S, settings.settle_timeout_s), settings.samples * settings.period_s)
+            durations += [part_s / override for part_s in parts_s]
     return durations
 
 
@@ -305,28 +275,34 @@ def check_plan(plan: Plan, workspace: Workspace) -> None:
     Raises
     ------
     PlanRefused
-        A limit is missing, a posture or path is not feasible, or steps are out of order.
+        A limit is missing, a posture or path is not feasible, or a pose is not approached as it has to be.
     """
     _check_limits(plan, workspace)
     at = None if plan.start_rad is None else np.array(plan.start_rad)
-    before: Step | None = None
+    axes = workspace.robot.axes
     for number, step in enumerate(plan.steps, start=1):
-        where = f"arm '{plan.arm}', step {number}"
-        if isinstance(step, MoveInwards):
-            at = _check_inwards(workspace, step, at, where)
-        elif isinstance(step, MoveTo | Approach):
-            target = np.array(step.q_rad)
-            _check_motion(workspace, target if at is None else at, target, where)
-            if isinstance(step, Approach):
-                _check_approach(step, at, where)
-                _check_rest(workspace, target, where)
-            at = target
-        elif isinstance(step, Settle):
-            if not (isinstance(before, Approach) and before.pose == step.pose):
-                raise PlanRefused(f"{where}: pose {step.pose} must be approached before it settles")
-        elif isinstance(step, Sample) and not (isinstance(before, Settle) and before.pose == step.pose):
-            raise PlanRefused(f"{where}: pose {step.pose} must settle before it is sampled")
-        before = step
+        if isinstance(step, Pass):
+            continue
+        where, target = f"arm '{plan.arm}', step {number}", np.array(step.q_rad)
+        if isinstance(step, MoveTo) and step.is_inwards:
+            inside = None if at is None else workspace.path_into_range(at)
+            if inside is None or np.abs(inside - target).max() > SAME_RAD:
+                raise PlanRefused(
+                    f"{where}: this step must be the straight motion of an arm outside its joint range back into it"
+                )
+            at = inside
+            continue
+        if target.shape != (axes,) or not np.isfinite(target).all():
+            raise PlanRefused(f"{where}: a target of {axes} finite joint angles is needed, got {angles(target)}")
+        reason = workspace.why_not_path(np.array([target if at is None else at, target]))
+        if reason is not None:
+            raise PlanRefused(f"{where}: {reason}")
+        if isinstance(step, PoseVisit):
+            _check_approach(step, at, where)
+            reason = workspace.why_not(target, workspace.rest_share)
+            if reason is not None:
+                raise PlanRefused(f"{where}: at {angles(target)}: {reason}")
+        at = target
 
 
 def _check_limits(plan: Plan, workspace: Workspace) -> None:
@@ -357,31 +333,7 @@ def _check_limits(plan: Plan, workspace: Workspace) -> None:
             raise PlanRefused(f"arm '{plan.arm}': {name} is {value}, a positive number is needed")
 
 
-def _check_inwards(workspace: Workspace, step: MoveInwards, start: np.ndarray | None, where: str) -> np.ndarray:
-    inside = None if start is None else workspace.path_into_range(start)
-    if inside is None or np.abs(inside - step.q_rad).max() > SAME_RAD:
-        raise PlanRefused(
-            f"{where}: this step must be the straight motion of an arm outside its joint range back into it"
-        )
-    return inside
-
-
-def _check_motion(workspace: Workspace, start: np.ndarray, target: np.ndarray, where: str) -> None:
-    axes = workspace.robot.axes
-    if target.shape != (axes,) or not np.isfinite(target).all():
-        raise PlanRefused(f"{where}: a target of {axes} finite joint angles is needed, got {angles(target)}")
-    reason = workspace.why_not_path(np.array([start, target]))
-    if reason is not None:
-        raise PlanRefused(f"{where}: {reason}")
-
-
-def _check_rest(workspace: Workspace, q_rad: np.ndarray, where: str) -> None:
-    reason = workspace.why_not(q_rad, workspace.rest_share)
-    if reason is not None:
-        raise PlanRefused(f"{where}: at {angles(q_rad)}: {reason}")
-
-
-def _check_approach(step: Approach, start: np.ndarray | None, where: str) -> None:
+def _check_approach(step: PoseVisit, start: np.ndarray | None, where: str) -> None:
     if start is None:
         raise PlanRefused(f"{where}: pose {step.pose} is approached without a move before it")
     motion = np.array(step.q_rad) - start

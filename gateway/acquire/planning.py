@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.acquire.plan import Approach, Expectation, MoveTo, Plan, VisitSettings, check_plan, plan_poses
-from gateway.acquire.poses import PoseRequest, RestPose, choose_poses, read_poses
+from gateway.acquire.plan import Expectation, Plan, VisitSettings, check_plan, plan_poses
+from gateway.acquire.poses import RestPose, choose_poses, read_poses
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.identify.load_estimate import load_directions
@@ -55,38 +55,33 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
     poses = loaded.cell.poses
     if poses.file is not None:
         return plan_of_poses(loaded, config, workspace, read_poses(loaded.path(poses.file), workspace.robot.axes))
-    request = PoseRequest(
-        count=poses.count if n_poses is None else n_poses,
-        validation=poses.validation,
-        approach_offset_rad=poses.approach_offset_rad,
-        seed=poses.seed if seed is None else seed,
-    )
-    if request.count < 2:
+    count, first_seed = poses.count if n_poses is None else n_poses, poses.seed if seed is None else seed
+    if count < 2:
         raise PlanRefused(
             "one pose cannot identify a load: the coordinate of its centre of gravity along gravity causes no axis"
             " torque; plan at least two poses (usual: ten)"
         )
     joined = np.empty((0, workspace.robot.axes))
     for choice in range(CHOICES):
-        seeded = replace(request, seed=request.seed + choice * SEED_STEP)
-        chosen = choose_poses(workspace.with_clearance(), seeded, assumed_noise_nm(workspace), joined)
+        chosen = choose_poses(
+            workspace.with_clearance(),
+            count,
+            poses.validation,
+            poses.approach_offset_rad,
+            first_seed + choice * SEED_STEP,
+            assumed_noise_nm(workspace),
+            joined,
+        )
         plan, unreachable = plan_poses(config.name, workspace, chosen, visit_settings(loaded, config), joined)
         if not unreachable:
             check_plan(plan, workspace)
             return _expected(plan, loaded, config, workspace)
-        joined = _more_joined(joined, plan)
+        joined = np.vstack([joined, plan.corners_rad])
     raise PlanRefused(
         f"arm '{config.name}': no path within the limits connects the chosen poses; narrow the joint limits to the"
         " part of the cell that the arm can reach, or correct the assumed surroundings in the cell file (floor_m,"
-        " wall, column_radius_m, "
-        "link_radius_m, load_size_m)"
+        " wall, column_radius_m, link_radius_m, load_size_m)"
     )
-
-
-def _more_joined(joined: np.ndarray, plan: Plan) -> np.ndarray:
-    """Return the connected postures (k, N) together with the via points of a plan."""
-    passed = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
-    return np.vstack([joined, passed])
 
 
 def plan_of_poses(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
@@ -168,7 +163,14 @@ def expectation(
     """
     q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, workspace.robot.axes)
     mass_kg, com_m = reference_load(workspace, q_rad)
-    std = expected_stds(workspace, q_rad, mass_kg * np.append(1.0, com_m), (noise_nm, gain_std))
+    # the arm is measured without and with the load: the difference has twice the variance
+    moment, axes = mass_kg * np.append(1.0, com_m), workspace.robot.axes
+    load = load_regressor(workspace.robot, q_rad, workspace.gravity_m_s2)
+    columns = np.concatenate([load, (load @ moment)[:, :, None] * np.eye(axes)], axis=2).reshape(-1, 4 + axes)
+    prior = Prior.free(4 + axes).with_std(4 + np.arange(axes), gain_stds(gain_std, axes))
+    weight = np.tile(np.sqrt(0.5) / noise_nm, len(q_rad))
+    solution = solve(columns, np.zeros(len(columns)), weight, prior, TOLERANCE)
+    std = identifiable_stds(solution, np.pad(load_directions(moment), ((0, 0), (0, axes))))
     if not np.isfinite(std).all():
         raise PlanRefused(
             "these poses do not determine mass and centre of gravity: gravity must come from directions that differ "
@@ -182,28 +184,3 @@ def expectation(
         noise_source=noise_source,
         gain_std=tuple(gain_std),
     )
-
-
-def expected_stds(
-    workspace: Workspace, q_rad: np.ndarray, moment: np.ndarray, errors: tuple[np.ndarray, Sequence[float]]
-) -> np.ndarray:
-    """Return the expected standard deviations (4,) of mass and centre of gravity; NaN where not determined.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    q_rad : array of shape (n, N)
-        Poses at which the arm is measured without and with the load: the difference has twice the variance.
-    moment : array of shape (4,)
-        [m, hx, hy, hz] of the load.
-    errors : (N,) and (N,)
-        Standard deviation of the half-sum of a torque [Nm], and relative standard deviation of the torque constants.
-    """
-    noise_nm, gain_std = errors
-    axes = workspace.robot.axes
-    load = load_regressor(workspace.robot, q_rad, workspace.gravity_m_s2)
-    columns = np.concatenate([load, (load @ moment)[:, :, None] * np.eye(axes)], axis=2).reshape(-1, 4 + axes)
-    prior = Prior.free(4 + axes).with_std(4 + np.arange(axes), gain_stds(gain_std, axes))
-    weight = np.tile(np.sqrt(0.5) / noise_nm, len(q_rad))
-    found = solve(columns, np.zeros(len(columns)), weight, prior, TOLERANCE)
-    return identifiable_stds(found, np.pad(load_directions(moment), ((0, 0), (0, axes))))

@@ -10,7 +10,6 @@ on the information about the links spreads them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,38 +33,24 @@ LIMIT_MARGIN_RAD = 0.02
 MOST_LOOKED_AT = 3000
 
 
-@dataclass(frozen=True, slots=True)
-class PoseRequest:
-    """Number of poses to choose, and the settings of the choice.
-
-    Attributes
-    ----------
-    count, validation : int
-        Number of fitted poses, and of validation poses.
-    approach_offset_rad : float
-    seed : int
-    """
-
-    count: int
-    validation: int
-    approach_offset_rad: float
-    seed: int
-
-    @property
-    def margin_rad(self) -> float:
-        """Distance to keep from the joint limits [rad]."""
-        return self.approach_offset_rad + LIMIT_MARGIN_RAD
-
-
 def choose_poses(
-    workspace: Workspace, request: PoseRequest, noise_nm: np.ndarray, joined_rad: np.ndarray | None = None
+    workspace: Workspace,
+    count: int,
+    validation: int,
+    approach_offset_rad: float,
+    seed: int,
+    noise_nm: np.ndarray,
+    joined_rad: np.ndarray | None = None,
 ) -> tuple[RestPose, ...]:
     """Choose the D-optimal fitted poses, numbered from 1, then random validation poses.
 
     Parameters
     ----------
     workspace : Workspace
-    request : PoseRequest
+    count, validation : int
+        Number of fitted poses, and of validation poses.
+    approach_offset_rad : float
+    seed : int
     noise_nm : array of shape (N,)
         Standard deviation of the half-sum of a joint torque.
     joined_rad : array of shape (k, N), optional
@@ -76,78 +61,71 @@ def choose_poses(
     PlanRefused
         Too few feasible postures; the most frequent violation is named.
     """
-    random = np.random.default_rng(request.seed)
-    candidates = feasible_postures(workspace, request, random)
+    needed = count + validation
+    candidates = feasible_postures(workspace, needed, approach_offset_rad, np.random.default_rng(seed))
     if joined_rad is not None and len(joined_rad):
-        candidates = _joined_to(workspace, candidates, joined_rad, request)
-    chosen = _d_optimal(workspace, candidates, request.count, noise_nm)
-    validation = _apart(candidates, chosen, request.validation)
-    poses = [RestPose(i, tuple(candidates[row]), "fit") for i, row in enumerate(chosen, start=1)]
-    poses += [
-        RestPose(i, tuple(candidates[row]), "validation") for i, row in enumerate(validation, start=len(poses) + 1)
-    ]
-    return tuple(poses)
+        time_s = workspace.travel_time(candidates[:, None], joined_rad[None])
+        nearest = joined_rad[np.argsort(time_s, axis=1)[:, :NEAREST]]
+        tried = nearest.shape[1]
+        near, pose = nearest.reshape(-1, nearest.shape[2]), np.repeat(candidates, tried, axis=0)
+        clear = workspace.path_clear(near, pose + approach_offset_rad) & workspace.path_clear(pose, near)
+        joined = candidates[clear.reshape(-1, tried).any(axis=1)]
+        if len(joined) < 2 * needed:
+            raise PlanRefused(
+                f"{len(joined)} of {len(candidates)} feasible postures are connected by a free path, at least "
+                f"{2 * needed} are needed to choose {needed} poses: narrow the joint limits to the part of the cell"
+                " that the arm can reach, or correct the assumed surroundings in the cell file (floor_m, wall,"
+                " column_radius_m, link_radius_m, load_size_m)"
+            )
+        candidates = joined
+    chosen = _d_optimal(workspace, candidates, count, noise_nm)
+    taken = list(chosen)  # validation poses: in drawing order, each at the required distance from all others
+    for row, q_rad in enumerate(candidates):
+        if len(taken) < needed and np.abs(candidates[taken] - q_rad).max(axis=1).min() >= DISTANCE_RAD:
+            taken.append(row)
+    if len(taken) < needed:
+        raise PlanRefused(
+            f"only {len(taken) - count} of {validation} validation poses are at least {DISTANCE_RAD} rad from the"
+            " others; widen the limits or lower [poses] validation"
+        )
+    return tuple(
+        RestPose(number, tuple(candidates[row]), "fit" if number <= count else "validation")
+        for number, row in enumerate(taken, start=1)
+    )
 
 
-def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.random.Generator) -> np.ndarray:
+def feasible_postures(
+    workspace: Workspace, needed: int, approach_offset_rad: float, random: np.random.Generator
+) -> np.ndarray:
     """Draw random postures (n, N) that can be approached in both directions; full turns of a joint are drawn once.
 
     Raises
     ------
     PlanRefused
-        Fewer than four times the requested number of poses.
+        Fewer than four times the needed number of poses.
     """
-    drawn, found, n_found = [], [], 0
-    for _ in range(DRAWS):
-        q = workspace.draw(random, CANDIDATES)
-        good = can_be_measured(workspace, request, q)
-        drawn.append(q)
-        found.append(q[good])
-        n_found += int(good.sum())
-        if n_found >= CANDIDATES:
-            break
-    needed = request.count + request.validation
-    if n_found < 4 * needed:
-        everything = np.concatenate(drawn)
-        looked_at = everything[:MOST_LOOKED_AT]
-        against = workspace.violations(looked_at, request.margin_rad, workspace.rest_share)
+    drawn, good = [np.empty((0, workspace.robot.axes))], [np.empty(0, dtype=bool)]
+    while len(good) <= DRAWS and sum(map(np.sum, good)) < CANDIDATES:
+        drawn.append(workspace.draw(random, CANDIDATES))
+        good.append(can_be_measured(workspace, approach_offset_rad, drawn[-1]))
+    everything, feasible = np.concatenate(drawn), np.concatenate(good)
+    if feasible.sum() < 4 * needed:
+        margin_rad = approach_offset_rad + LIMIT_MARGIN_RAD
+        against = workspace.violations(everything[:MOST_LOOKED_AT], margin_rad, workspace.rest_share)
         reasons = [(float(mask.mean()), words) for words, mask in against]
         worst = "; ".join(f"{share:.0%} {words}" for share, words in sorted(reasons, reverse=True)[:3])
         raise PlanRefused(
-            f"{n_found} of {len(everything)} random postures are feasible, at least {4 * needed} are needed to choose "
-            f"{needed} poses: {worst}. Widen the limits, correct the assumed surroundings in the cell file (floor_m,"
-            " wall, column_radius_m, link_radius_m, load_size_m), or ask for fewer poses"
+            f"{feasible.sum()} of {len(everything)} random postures are feasible, at least {4 * needed} are needed to"
+            f" choose {needed} poses: {worst}. Widen the limits, correct the assumed surroundings in the cell file"
+            " (floor_m, wall, column_radius_m, link_radius_m, load_size_m), or ask for fewer poses"
         )
-    return np.concatenate(found)[:CANDIDATES]
+    return everything[feasible][:CANDIDATES]
 
 
-def _joined_to(
-    workspace: Workspace, candidates: np.ndarray, joined_rad: np.ndarray, request: PoseRequest
-) -> np.ndarray:
-    """Return the candidates (m, N) with a straight path to and from one of the `NEAREST` of some postures."""
-    time_s = workspace.travel_time(candidates[:, None], joined_rad[None])
-    nearest = joined_rad[np.argsort(time_s, axis=1)[:, :NEAREST]]
-    tried = nearest.shape[1]
-    near, pose = nearest.reshape(-1, nearest.shape[2]), np.repeat(candidates, tried, axis=0)
-    clear = workspace.path_clear(near, pose + request.approach_offset_rad) & workspace.path_clear(pose, near)
-    found = candidates[clear.reshape(-1, tried).any(axis=1)]
-    needed = request.count + request.validation
-    if len(found) < 2 * needed:
-        raise PlanRefused(
-            f"{len(found)} of {len(candidates)} feasible postures are connected by a free path, at least "
-            f"{2 * needed} are needed to choose {needed} poses: narrow the joint limits to the part of the cell that"
-            " the arm can reach, or correct the assumed surroundings in the cell file (floor_m, wall,"
-            " column_radius_m, link_radius_m, "
-            "load_size_m)"
-        )
-    return found
-
-
-def can_be_measured(workspace: Workspace, request: PoseRequest, q_rad: np.ndarray) -> np.ndarray:
+def can_be_measured(workspace: Workspace, approach_offset_rad: float, q_rad: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the postures (n, N) where the arm may rest and that it can approach in both directions."""
-    good = workspace.feasible(q_rad, request.margin_rad, workspace.rest_share)
-    offset = request.approach_offset_rad
-    good[good] = workspace.path_clear(q_rad[good] + offset, q_rad[good] - offset)
+    good = workspace.feasible(q_rad, approach_offset_rad + LIMIT_MARGIN_RAD, workspace.rest_share)
+    good[good] = workspace.path_clear(q_rad[good] + approach_offset_rad, q_rad[good] - approach_offset_rad)
     return good
 
 
@@ -156,7 +134,10 @@ def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_n
     links = rows * (1.0 / np.maximum(np.abs(rows).max(axis=(0, 1)), 1e-12))
     load = rows[:, :, LOAD_COLUMNS] / np.abs(rows[:, :, LOAD_COLUMNS]).max(axis=(0, 1))
     designs = ((load, 1.0), (links, LINK_WEIGHT))
-    near = _near(candidates)
+    span = np.zeros((len(candidates), len(candidates)), dtype=np.float32)
+    for joint in candidates.T.astype(np.float32):
+        np.maximum(span, np.abs(joint[:, None] - joint), out=span)
+    near = span < DISTANCE_RAD
     chosen: list[int] = []
     for _ in range(count):
         gain = _gain(designs, chosen)
@@ -186,34 +167,9 @@ def _gain(designs: tuple[tuple[np.ndarray, float], ...], chosen: list[int]) -> n
     return total
 
 
-def _near(candidates: np.ndarray) -> np.ndarray:
-    """Return the pairs (n, n) of postures that are closer than the required distance in all joints."""
-    span = np.zeros((len(candidates), len(candidates)), dtype=np.float32)
-    for joint in candidates.T.astype(np.float32):
-        np.maximum(span, np.abs(joint[:, None] - joint), out=span)
-    return span < DISTANCE_RAD
-
-
 def _best(gain: np.ndarray, near: np.ndarray, chosen: list[int]) -> int:
     taken = near[chosen].any(axis=0)
     return int(np.argmax(np.where(taken, -np.inf, gain)))
-
-
-def _apart(candidates: np.ndarray, chosen: list[int], count: int) -> list[int]:
-    """Return further postures in drawing order, each at the required distance from all others."""
-    taken, found = list(chosen), []
-    for row in range(len(candidates)):
-        if len(found) == count:
-            break
-        if np.abs(candidates[taken] - candidates[row]).max(axis=1).min() >= DISTANCE_RAD:
-            taken.append(row)
-            found.append(row)
-    if len(found) < count:
-        raise PlanRefused(
-            f"only {len(found)} of {count} validation poses are at least {DISTANCE_RAD} rad from the others; widen "
-            "the limits or lower [poses] validation"
-        )
-    return found
 
 
 def read_poses(path: Path, axes: int) -> tuple[RestPose, ...]:

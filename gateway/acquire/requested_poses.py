@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import plan_of_any
-from gateway.acquire.poses import PoseRequest, can_be_measured
+from gateway.acquire.poses import can_be_measured
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.recorded import Recording
 from gateway.data.rest_pose import RestPose
@@ -30,23 +29,10 @@ _DRAWS: Final = 25
 _SAME_RAD: Final = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """Requested poses.
-
-    Attributes
-    ----------
-    q_rad : tuple of tuples of floats, one per axis
-    taken : tuple of int
-        Pose numbers that earlier data use for other postures.
-    """
-
-    q_rad: tuple[tuple[float, ...], ...]
-    taken: tuple[int, ...] = ()
-
-
-def asked_by(path: Path, loaded: LoadedCell, config: ArmConfig) -> Asked:
-    """Return the poses that a result requests under `next`, numbered after the poses of its data.
+def asked_by(
+    path: Path, loaded: LoadedCell, config: ArmConfig
+) -> tuple[tuple[tuple[float, ...], ...], tuple[int, ...]]:
+    """Return the poses that a result requests under `next`, and the pose numbers that its data use for others.
 
     Raises
     ------
@@ -66,19 +52,28 @@ def asked_by(path: Path, loaded: LoadedCell, config: ArmConfig) -> Asked:
     if any(len(q_rad) != len(config.axis) for q_rad in poses):
         raise InputError(f"{path}: its poses must have {len(config.axis)} axes like arm '{config.name}'")
     taken = () if result.data is None else tuple(sorted({pose.pose for pose in result.data.poses if pose.pose >= 0}))
-    return Asked(tuple(poses), taken)
+    return tuple(poses), taken
 
 
-def plan_asked(loaded: LoadedCell, config: ArmConfig, asked: Asked, earlier: Recording | None) -> Plan:
+def plan_asked(
+    loaded: LoadedCell,
+    config: ArmConfig,
+    q_rad: Sequence[tuple[float, ...]],
+    earlier: Recording | None,
+    taken: Collection[int] = (),
+) -> Plan:
     """Plan over requested poses; a posture in the recording keeps its number, any other gets a new one.
 
     Parameters
     ----------
     loaded : LoadedCell
     config : ArmConfig
-    asked : Asked
+    q_rad : sequence of tuples of floats, one per axis
+        The poses.
     earlier : Recording or None
         Recording that is continued.
+    taken : collection of int
+        Pose numbers that earlier data use for other postures.
 
     Raises
     ------
@@ -87,8 +82,15 @@ def plan_asked(loaded: LoadedCell, config: ArmConfig, asked: Asked, earlier: Rec
     """
     stored = None if earlier is None else earlier.arm(config.name)
     known = () if stored is None else stored.poses
-    poses = _numbered(asked.q_rad, known, {*asked.taken, *(pose.number for pose in known)})
-    return plan_of_any(loaded, config, workspace_of(config, arm_robot(loaded, config)), poses)
+    number = max([*taken, *(pose.number for pose in known)], default=0)
+    poses: dict[int, RestPose] = {}
+    for posture in dict.fromkeys(q_rad):
+        pose = next((each for each in known if np.abs(np.subtract(each.q_rad, posture)).max() <= _SAME_RAD), None)
+        if pose is None:
+            number += 1
+            pose = RestPose(number, posture, "fit")
+        poses.setdefault(pose.number, pose)
+    return plan_of_any(loaded, config, workspace_of(config, arm_robot(loaded, config)), tuple(poses.values()))
 
 
 def plan_again(loaded: LoadedCell, config: ArmConfig, numbers: Collection[int], earlier: Recording) -> Plan:
@@ -111,20 +113,6 @@ def plan_again(loaded: LoadedCell, config: ArmConfig, numbers: Collection[int], 
     return plan_of_any(loaded, config, workspace_of(config, arm_robot(loaded, config)), poses)
 
 
-def _numbered(
-    asked: Sequence[tuple[float, ...]], known: Sequence[RestPose], taken: Collection[int]
-) -> tuple[RestPose, ...]:
-    number = max(taken, default=0)
-    poses: dict[int, RestPose] = {}
-    for q_rad in dict.fromkeys(asked):
-        pose = next((each for each in known if np.abs(np.subtract(each.q_rad, q_rad)).max() <= _SAME_RAD), None)
-        if pose is None:
-            number += 1
-            pose = RestPose(number, q_rad, "fit")
-        poses.setdefault(pose.number, pose)
-    return tuple(poses.values())
-
-
 def postures_to_ask(about: AnalysisInputs) -> np.ndarray | None:
     """Return random postures (k, N) [rad] that a result may request: free and approachable in both directions.
 
@@ -134,12 +122,11 @@ def postures_to_ask(about: AnalysisInputs) -> np.ndarray | None:
         return None
     cell = about.recordings[0].cell if about.loaded is None else about.loaded.cell
     workspace = workspace_of(about.arm, about.robot)
-    request = PoseRequest(cell.poses.count, 0, cell.poses.approach_offset_rad, cell.poses.seed)
-    random = np.random.default_rng(request.seed)
+    random = np.random.default_rng(cell.poses.seed)
     found = np.empty((0, workspace.robot.axes))
     for _ in range(_DRAWS):
         q_rad = workspace.draw(random, _AT_ONCE)
-        found = np.vstack([found, q_rad[can_be_measured(workspace, request, q_rad)]])
+        found = np.vstack([found, q_rad[can_be_measured(workspace, cell.poses.approach_offset_rad, q_rad)]])
         if len(found) >= CHOICE:
             break
     return found[:CHOICE]

@@ -1,7 +1,7 @@
 """The run loop of every measurement: power the arm, take the next motions from a source, execute, measure and store.
 
 A source yields plans, each from the posture in which the plan before ends. `rest_visits` yields the poses of a plan,
-`moving.py` excitations and `goto.py` a transfer. `until/run.py` yields pose after pose while a load is estimated. The
+`moving.py` excitations and `goto.py` a transfer. `until.py` yields pose after pose while a load is estimated. The
 brakes are on before and after.
 """
 
@@ -30,12 +30,9 @@ from gateway.acquire.events import (
 )
 from gateway.acquire.passes import REST_S, Pass, PeriodicSetpoints, slowed
 from gateway.acquire.plan import (
-    Approach,
-    MoveInwards,
     MoveTo,
     Plan,
-    Sample,
-    Settle,
+    PoseVisit,
     check_plan,
     motion_limits,
     plan_from,
@@ -229,14 +226,13 @@ class Run:
     def _execute_plans(self, source: MotionSource) -> str:
         while True:
             for step in self._plan.steps:
-                if isinstance(step, Settle):
-                    self._settle(step)
-                elif isinstance(step, Sample):
-                    self._sample(step)
-                elif isinstance(step, Pass):
+                if isinstance(step, Pass):
                     self._drive(step)
-                else:
-                    self._move(step)
+                    continue
+                self._move(step)
+                if isinstance(step, PoseVisit):
+                    self._settle(step.pose)
+                    self._sample(step)
             try:
                 self._plan, self._further_s, _ = source.send(self)
             except StopIteration as ended:
@@ -275,12 +271,12 @@ class Run:
                 f"{ARM_RULES['sinks'].advice}"
             )
 
-    def _move(self, step: MoveTo | MoveInwards | Approach) -> None:
+    def _move(self, step: MoveTo | PoseVisit) -> None:
         self._next(Phase.MOVING)
-        if isinstance(step, MoveInwards):
-            what = "move back into the joint range"
-        elif isinstance(step, Approach):
+        if isinstance(step, PoseVisit):
             what = f"approach pose {step.pose}"
+        elif step.is_inwards:
+            what = "move back into the joint range"
         else:
             what = "move to the start" if self._is_driven else "move"
         limits = motion_limits(step, self._workspace, self._plan.settings)
@@ -294,13 +290,14 @@ class Run:
         self._gone_rad += float(np.abs(target - at).max())
         self.stream.move([straight(at, target, limits, self._period_s)], what)
 
-    def _settle(self, step: Settle) -> None:
+    def _settle(self, pose: int) -> None:
         self._next(Phase.SETTLING)
+        timeout_s = self._plan.settings.settle_timeout_s
         test = SettleTest(self._period_s, self._workspace.torque_nm)
         restless: np.ndarray | None = None
-        limit = int(np.ceil(step.timeout_s / self._period_s))
+        limit = int(np.ceil(timeout_s / self._period_s))
         for row in range(limit):
-            (sample,) = self.stream.hold(f"settle pose {step.pose}", row, limit)
+            (sample,) = self.stream.hold(f"settle pose {pose}", row, limit)
             if sample.complete:
                 test.add(sample.q_rad, sample.joint_torque_nm)
                 restless = test.restless()
@@ -309,14 +306,15 @@ class Run:
                     return
         joint = test.worst + 1
         raise PoseNeverSettles(
-            f"pose {step.pose} does not settle within {step.timeout_s:g} s: joint {joint} still moves or its torque "
+            f"pose {pose} does not settle within {timeout_s:g} s: joint {joint} still moves or its torque "
             f"drifts; {ARM_RULES['never_settles'].advice}",
-            pose=step.pose,
+            pose=pose,
             joint=joint,
         )
 
-    def _sample(self, step: Sample) -> None:
+    def _sample(self, step: PoseVisit) -> None:
         self._next(Phase.SAMPLING)
+        count = self._plan.settings.samples
         purpose = next(pose.purpose for pose in self._plan.poses if pose.number == step.pose)
         (at,) = self.stream.q_rad
         label = VisitLabel(self._load, step.pose, purpose, step.direction, self._direction, at)
@@ -326,8 +324,8 @@ class Run:
         if temperatures is not None:
             temperatures.begin()
         try:
-            while len(samples) < step.count:
-                (sample,) = self.stream.hold(f"sample pose {step.pose}", len(samples), step.count)
+            while len(samples) < count:
+                (sample,) = self.stream.hold(f"sample pose {step.pose}", len(samples), count)
                 if temperatures is not None:
                     temperatures.poll()
                 if sample.complete:
@@ -335,7 +333,7 @@ class Run:
                     continue
                 repeated += 1
                 self.notify(SampleRepeated(sample.sync_index, sample.silent))
-                if repeated > max(REPEATED_LEAST, REPEATED_SHARE * step.count):
+                if repeated > max(REPEATED_LEAST, REPEATED_SHARE * count):
                     raise IncompleteEpochs(
                         f"pose {step.pose}: {repeated} SYNCs were not answered by all axes while {len(samples)}"
                         " samples were taken",

@@ -15,7 +15,7 @@ import numpy as np
 from gateway.acquire.blackbox import black_box
 from gateway.acquire.events import Event, Listener, PeriodDone, PoseDone, VisitDone
 from gateway.acquire.plan import Plan
-from gateway.acquire.planning import make_plan, plan_of_poses
+from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.run_loop import MotionSource, Run, rest_visits
 from gateway.cell.config import LoadedCell
 from gateway.data.blackbox.part import BoxHeader
@@ -26,23 +26,11 @@ from gateway.data.recording.writer import ArmHeader, RecordingHeader
 from gateway.data.rest_pose import RestPose
 from gateway.errors import GatewayError, InputError
 from gateway.model.arm_model import arm_named, arm_robot
-from gateway.motion.opening import BusOverride, OpenArm, open_arm
+from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.temperature import motor_temperatures
 from gateway.motion.workspace import workspace_of
 from gateway.result.origin import software
-
-__all__ = [
-    "BusOverride",
-    "OpenArm",
-    "RecordRequest",
-    "RecordingSummary",
-    "make_plan",
-    "open_arm",
-    "plan_of_recording",
-    "record",
-]
-
 
 #: Fields of a summary that the JSON of a recording at rest, and of one in motion, leaves out.
 MOVING_KEYS, REST_KEYS = ("reason", "periods", "missed"), ("reason", "visits", "friction_band_nm")
@@ -210,7 +198,7 @@ def record_motions(
         poses=_all_poses(config.name, poses, earlier),
         constants=opened.constants,
         identities=[plain(asdict(identity)) for identity in opened.identities],
-        ledger=[plain(asdict(entry)) for entry in opened.group.nodes.noted],
+        ledger=[plain(asdict(entry)) for entry in opened.group.noted],
         excitations=excitations or {},
     )
     about = RecordingHeader(

@@ -22,20 +22,6 @@ from gateway.identify.prior_loads import BARE_LABEL
 ROUND_POSES: Final = 4
 #: Relative change of the friction band between rounds below which an arm counts as warm.
 STILL: Final = 0.02
-WARM_UP_FILE: Final = "warm-up.h5"
-
-
-@dataclass(frozen=True, slots=True)
-class Thermal:
-    """Settings of a job against thermal drift.
-
-    Attributes
-    ----------
-    warm_up_s : float
-        Longest warm-up; 0 = none.
-    """
-
-    warm_up_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +32,14 @@ class Block:
     poses: tuple[RestPose, ...]
 
 
-def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal | None) -> tuple[Block, ...]:
+def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], is_thermal: bool) -> tuple[Block, ...]:
     """Return the blocks in measuring order.
 
-    Without `thermal`: the unloaded arm, then each load. With it: the loads, the unloaded arm twice, the loads in
+    Without `is_thermal`: the unloaded arm, then each load. With it: the loads, the unloaded arm twice, the loads in
     reverse order; the second block of a load has the same poses under new numbers.
     """
     once = tuple(poses)
-    if thermal is None:
+    if not is_thermal:
         return tuple(Block(label, once) for label in (BARE_LABEL, *labels))
     again = _again(once)
     forth = [Block(label, once) for label in (*labels, BARE_LABEL)]
@@ -73,7 +59,7 @@ def _again(poses: Sequence[RestPose]) -> tuple[RestPose, ...]:
 
 def warm_up(
     poses: Sequence[RestPose],
-    recording: Path,
+    path: Path,
     longest_s: float,
     measure: Callable[[Sequence[RestPose], Path], None],
 ) -> str:
@@ -82,14 +68,13 @@ def warm_up(
     Parameters
     ----------
     poses : sequence of RestPose
-    recording : Path
-        Recording of the job; the warm-up is stored in a second file beside it.
+    path : Path
+        Recording of the warm-up; it is continued.
     longest_s : float
         Longest duration [s], in bus time.
     measure : callable
         Function that measures poses and appends them to a file.
     """
-    path = recording.with_name(WARM_UP_FILE)
     chosen = poses[:ROUND_POSES]
     number = _rounds(path)
     while True:

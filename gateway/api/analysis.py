@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose import diagnose as _diagnose
 from gateway.errors import InputError
 from gateway.estimate import Coefficient
@@ -24,8 +22,6 @@ from gateway.pipeline.inputs import (
     AnalysisInputs,
     ModelRequest,
     collect_inputs,
-    diagnose_arguments,
-    estimate_options,
     read_rows,
     split_validation,
 )
@@ -132,8 +128,8 @@ def diagnose(
 
 def estimated(about: AnalysisInputs, table: Table, method: str, coefficient: Coefficient | None = None) -> Result:
     """Return the estimate of all loads in the rows of a table."""
-    options = replace(estimate_options(about), pose_choice=postures(about), coefficient=coefficient)
-    return _estimate(table, about.robot, options, method)
+    choice = postures(about)
+    return _estimate(table, about.robot, about.knowledge, method, coefficient=coefficient, pose_choice=choice)
 
 
 def diagnosed(
@@ -142,10 +138,7 @@ def diagnosed(
     """Return the diagnosis of the rows of a table, judged on the files `holdout` or on visits of validation poses."""
     seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
     choice = partial(postures, about)
-    options = DiagnoseOptions(
-        holdout=unseen, only=only, without=without, pose_choice=choice, **diagnose_arguments(about)
-    )
-    return _diagnose(seen, about.model, options)
+    return _diagnose(seen, about.model, about.knowledge, holdout=unseen, only=only, without=without, pose_choice=choice)
 
 
 def postures(about: AnalysisInputs) -> NDArray[np.float64] | None:

@@ -22,7 +22,7 @@ from gateway.cell import plausible
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.calibration import read_calibration
 from gateway.cell.config_pair import DistanceConfig, PairConfig
-from gateway.cell.quantities import Finite, PlainName, Positive, Vector3
+from gateway.cell.quantities import Finite, PlainName, Positive, Vector3, parse_inertials
 from gateway.errors import ConfigError
 
 
@@ -367,6 +367,11 @@ class ArmConfig(Strict):
         description="joint angles for mounting a load: `move --to loading`, also used by `commission`",
     )
     axis: tuple[AxisConfig, ...] = Field(description="two to eight of them, usually six, from the base on")
+
+    @property
+    def link_std(self) -> float:
+        """Relative standard deviation of the link inertials of the URDF: 0 = exact, infinite = ignored."""
+        return parse_inertials(self.inertials)
 
     @property
     def flange_origin(self) -> str | None:

@@ -1,10 +1,13 @@
-"""Number types of the cell file."""
+"""Numbers of the cell file, and the text that states a relative standard deviation."""
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
+
+from gateway.errors import ConfigError
 
 
 def _printable(text: str) -> str:
@@ -20,3 +23,34 @@ _Component = Annotated[float, Field(ge=-1e6, le=1e6)]
 Vector3 = tuple[_Component, _Component, _Component]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+def relative_std(text: str) -> float | None:
+    """Return the standard deviation of `exact` (0), `ignore` (infinite) or `prior:S`, S > 0; None for other text."""
+    named = {"exact": 0.0, "ignore": math.inf}
+    if text in named:
+        return named[text]
+    try:
+        std = float(text.removeprefix("prior:")) if text.startswith("prior:") else math.nan
+    except ValueError:
+        return None
+    return std if math.isfinite(std) and std > 0 else None
+
+
+def parse_inertials(text: str) -> float:
+    """Return the relative standard deviation of the link inertials that `exact`, `ignore` or `prior:S` states.
+
+    Raises
+    ------
+    ConfigError
+        Anything else.
+    """
+    std = relative_std(text)
+    if std is None:
+        raise ConfigError(f"inertials '{text}': use exact, ignore, or prior:S with S > 0, such as prior:0.05")
+    return std
+
+
+def inertials_text(std: float) -> str:
+    """Return the text that `parse_inertials` reads as this standard deviation."""
+    return "exact" if std == 0 else f"prior:{std:g}" if math.isfinite(std) else "ignore"

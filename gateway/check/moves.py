@@ -25,7 +25,6 @@ from gateway.check.wiring_judge import Verdict, WiringView, judge_wiring
 from gateway.data.rest_pose import RestPose
 from gateway.data.visit import Visit
 from gateway.errors import LimitExceeded, WrongPlace
-from gateway.identify.links import parse_inertials
 from gateway.motion.assumed import reference_load
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
@@ -170,16 +169,15 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
 def _bus_has_capacity(opened: OpenArm) -> bool:
     """Return True if, in real time, a third TPDO of every drive fits the bus."""
     timing, spec = opened.group.timing, opened.group.bus.spec
-    bits = opened.group.nodes.cycle_bits + len(opened.group.drives) * frame_bits_worst(8)
+    bits = opened.group.cycle_bits + len(opened.group.drives) * frame_bits_worst(8)
     load = load_percent(bits, timing.period_s, spec.bitrate_bit_s)
     return timing.pacing == "lockstep" or load <= LOAD_LIMIT_PERCENT
 
 
 def _arm(opened: OpenArm) -> WiredArm:
-    config, workspace = opened.config, opened.workspace
-    trust = parse_inertials(config.inertials)
+    workspace, axes, link_std = opened.workspace, opened.arm.axes, opened.config.link_std
     load_kg, _ = reference_load(workspace, opened.arm.where()[None])
-    return WiredArm(workspace.robot, workspace.gravity_m_s2, opened.arm.axes, workspace.torque_nm, trust, load_kg)
+    return WiredArm(workspace.robot, workspace.gravity_m_s2, axes, workspace.torque_nm, link_std, load_kg)
 
 
 def moves_of(opened: OpenArm, visits: Sequence[Visit]) -> Moves:

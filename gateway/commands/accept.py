@@ -32,7 +32,7 @@ from gateway.errors import FindingFailed, InputError, PlanRefused
 if TYPE_CHECKING:
     import numpy as np
 
-    from gateway.acquire.acceptance_plan import AcceptancePlan
+    from gateway.acquire.plan import Plan
     from gateway.cell.config import ArmConfig, LoadedCell
     from gateway.identify.workspace_error import EnteredLoad
     from gateway.motion.workspace import Workspace
@@ -144,7 +144,7 @@ def _job(about: AnalysisInputs, load_file: Path, label: str | None, tolerance: s
     return _Job(result, entered, loaded, arm, workspace_of(arm, about.model), parse_tolerance(tolerance, arm))
 
 
-def _planned(job: _Job) -> AcceptancePlan:
+def _planned(job: _Job) -> tuple[Plan, float]:
     """The poses, chosen for the errors that are looked for."""
     import numpy as np
 
@@ -171,20 +171,22 @@ def _measured(job: _Job, how: MeasuringOptions) -> Path:
     from gateway.commands.measure import show_plan
     from gateway.commands.progress import recording_with_progress
     from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.commission import keep_earlier
     from gateway.jobs.frame import begin_motion
 
     session, label = session_of(), job.entered.load.label
     context = open_cell(how.cell, how.bus_spec, reserve, how.moving.pacing)
     with session.working("choosing poses and paths"):
-        chosen = _planned(job)
-    show_plan(chosen.plan)
-    session.show(f"expected standard deviation of any error: at most {chosen.resolution:.2g} of the tolerance")
+        plan, resolution = _planned(job)
+    show_plan(plan)
+    session.show(f"expected standard deviation of any error: at most {resolution:.2g} of the tolerance")
     recording = how.recording(_RECORDING, context.loaded)
     also = f" Load '{label}' of {job.entered.load.mass_kg:.4g} kg has to be mounted. Is it mounted?"
     with stoppable(how.moving) as options, context.opened(job.arm) as opened:
         options = begin_motion(context, (opened,), options, how.moving.ask, session.note, also=also)
-        how.keep(recording)
-        recording_with_progress(session, opened, chosen.plan, RecordRequest(label, recording, how.resume), options)
+        if not how.resume:
+            keep_earlier(recording, session.note)
+        recording_with_progress(session, opened, plan, RecordRequest(label, recording, how.resume), options)
     return recording
 
 

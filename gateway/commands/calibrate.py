@@ -12,7 +12,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import findings_table, grid
-from gateway.commands.guided import MeasuringOptions, Terminal
+from gateway.commands.guided import MeasuringOptions, Terminal, measured_data_noted
 from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.result_output import fail_on_findings
@@ -32,7 +32,7 @@ from gateway.commands.shared_options import (
     write_json,
 )
 from gateway.data.labels import label_refused
-from gateway.errors import GatewayError, PlanRefused
+from gateway.errors import PlanRefused
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
@@ -102,7 +102,6 @@ def calibrate(
 
 def _measured(arm: ArmConfig, about: AnalysisInputs, weight: Weight, how: MeasuringOptions) -> Path:
     """Measure the unloaded arm, the load, and the unloaded arm again; return the recording."""
-    from drives.errors import DriveError
     from gateway.jobs.cell_context import open_cell
     from gateway.jobs.commission import Job, measure
 
@@ -114,16 +113,11 @@ def _measured(arm: ArmConfig, about: AnalysisInputs, weight: Weight, how: Measur
     context = open_cell(how.cell, how.bus_spec, reserve, how.moving.pacing)
     recording = how.recording(_RECORDING, context.loaded)
     context.reserve(arm)
-    how.keep(recording)
+    outdated = () if how.resume else (recording,)
     refuse = partial(_refuse_plan, arm, about, weight)
-    try:
-        with stoppable(how.moving) as options:
-            job = Job(context, arm, (weight.label,), recording, options, is_bracketed=True)
-            measure(job, Terminal(session_of(), how.moving, refuse))
-    except (GatewayError, DriveError, KeyboardInterrupt, click.Abort) as error:
-        if recording.exists():
-            error.add_note(f"Measured data: {recording}; calibrate --resume continues once the cause is gone.")
-        raise
+    with measured_data_noted(recording, how.resume, "calibrate"), stoppable(how.moving) as options:
+        job = Job(context, arm, (weight.label,), recording, options, is_bracketed=True, outdated=outdated)
+        measure(job, Terminal(session_of(), how.moving, refuse))
     return recording
 
 
@@ -140,7 +134,7 @@ def _refuse_plan(arm: ArmConfig, about: AnalysisInputs, weight: Weight, plan: Pl
     workspace = workspace_of(arm, robot)
     q_rad = np.array([pose.q_rad for pose in plan.poses if pose.purpose == "fit"])
     com_m = reference_load(workspace, q_rad)[1] if weight.com_m is None else weight.com_m
-    load_nm = load_torque(robot, q_rad, about.gravity_m_s2, load_vector((weight.mass_kg, *com_m)))
+    load_nm = load_torque(robot, q_rad, about.knowledge.gravity_m_s2, load_vector((weight.mass_kg, *com_m)))
     why = carried_by_none(load_nm, assumed_noise_nm(workspace), stated_std(about, robot.axes))
     if why:
         raise PlanRefused(f"arm '{plan.arm}': {why}; nothing has moved")

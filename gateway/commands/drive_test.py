@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,6 +20,9 @@ from gateway.commands.shared_options import (
     writes,
 )
 from gateway.errors import FindingFailed
+
+if TYPE_CHECKING:
+    from gateway.drivetest.run import DriveTestRun
 
 PAGE = "drive-test.html"
 
@@ -60,7 +64,7 @@ def drive_test(
     A drive that fails is named, and nothing moves any more. What was measured is written in every case.
     """
     from gateway.commands.pages import write_page
-    from gateway.drivetest.run import DriveTestRun, axes_named
+    from gateway.drivetest.run import TEST_ENDS, DriveTestRun, axes_named
     from gateway.jobs.cell_context import open_cell
     from gateway.jobs.frame import begin_motion
     from gateway.model.arm_model import arm_named
@@ -79,24 +83,34 @@ def drive_test(
         "will move a little on every joint, and the master's heartbeat is stopped on purpose (the resulting drive"
         " faults are reset)"
     )
-    with stoppable(moving) as options, context.opened(arm) as opened, context.last_seconds(options, opened):
-        options = begin_motion(
-            context, (opened,), options, moving.ask, session.note, what=what, also=AT_HAND, proof="own"
-        )
-        test = DriveTestRun(opened, numbers, folder, session.note)
-        try:
-            test.run(options, context.stop_proof(arm))
-        finally:
-            created = datetime.now(UTC).isoformat(timespec="seconds")
-            write_page(folder / PAGE, render_drive_test(context.loaded.cell.name, created, test.reports))
+    test: DriveTestRun | None = None
+    ended: Exception | None = None
+    try:
+        with stoppable(moving) as options, context.opened(arm) as opened, context.last_seconds(options, opened):
+            options = begin_motion(
+                context, (opened,), options, moving.ask, session.note, what=what, also=AT_HAND, proof="own"
+            )
+            test = DriveTestRun(opened, numbers, folder, session.note)
+            try:
+                test.run(options, context.stop_proof(arm))
+            finally:
+                created = datetime.now(UTC).isoformat(timespec="seconds")
+                write_page(folder / PAGE, render_drive_test(context.loaded.cell.name, created, test.reports))
+    except TEST_ENDS as error:
+        if test is None:
+            raise
+        ended = error
     failed = [report for report in test.reports if report.findings]
     for report in test.reports:
         session.show(f"{report.axis} node {report.node}: {len(report.findings)} findings")
         for text in report.findings:
             session.show(f"  {text}")
     session.show(f"{folder / PAGE}: page of {len(test.reports)} drives")
-    if failed and (test.error is None or isinstance(test.error, FindingFailed)):
+    if failed and (test.is_explained or isinstance(ended, FindingFailed)):
         names = ", ".join(f"{report.axis} node {report.node}" for report in failed)
-        raise FindingFailed(f"the test of {names} has findings; see {folder / PAGE}")
-    if test.error is not None:
-        raise test.error
+        raised = FindingFailed(f"the test of {names} has findings; see {folder / PAGE}")
+        for note in getattr(ended, "__notes__", ()):
+            raised.add_note(note)
+        raise raised
+    if ended is not None:
+        raise ended

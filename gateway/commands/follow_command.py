@@ -84,7 +84,8 @@ def follow(
 
     from gateway.feedforward.identified import with_identified
     from gateway.follow.comparison import result_of
-    from gateway.follow.job import FollowRequest, drive, prepare
+    from gateway.follow.job import prepare
+    from gateway.follow.path_run import follow as drive
     from gateway.jobs.cell_context import open_cell
     from gateway.jobs.frame import begin_motion
     from gateway.model.arm_model import arm_named
@@ -97,18 +98,21 @@ def follow(
     context = replace(context, loaded=with_identified(context.loaded, arm.name, identified))
     arm = arm_named(context.loaded, arm.name)
     refuse_other_axes(arm, "follow")
-    prepared = prepare(context.loaded, arm, FollowRequest(path_file, load_file, label))
+    prepared = prepare(context.loaded, arm, path_file, load_file, label)
     session = session_of()
     _announce(prepared, session)
     with stoppable(moving) as options, context.opened(arm, trace=trace, feedforward=True) as opened:
         identities = [asdict(identity) for identity in opened.identities]
         options = begin_motion(context, (opened,), options, moving.ask, session.note)
         with context.last_seconds(options, opened), session.progress(prepared.duration_s, "follow") as bar:
-            job = drive(opened, prepared, lambda what, done: bar.set(done, prepared.duration_s, what), options)
+            parts, pacing = (prepared.workspace, prepared.path, prepared.settings), opened.group.timing.pacing
+            tracks = drive(
+                opened.arm, *parts, lambda what, done: bar.set(done, prepared.duration_s, what), options, pacing
+            )
     used = None if arm.identified is None else context.loaded.path(arm.identified)
     files = files_of(file for file in (cell, path_file, load_file, used) if file is not None)
     origin = Origin(in_words(datetime.now(UTC)), software(), drives_of(identities), files, operator)
-    result = replace(result_of(job), origin=origin)
+    result = replace(result_of(prepared, tracks), origin=origin)
     if json_out:
         write_json(json_out, plain_values(result))
     if report_file:

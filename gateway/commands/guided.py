@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -30,7 +31,7 @@ from gateway.commands.shared_options import (
     typed_line,
     write_json,
 )
-from gateway.commands.thermal import thermal_choice, thermal_option, warm_up_option
+from gateway.commands.thermal import longest_warm_up_s, thermal_option, warm_up_option
 from gateway.commands.until import PoseByPose, until_option
 from gateway.data.labels import BARE_LABEL
 from gateway.errors import GatewayError
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
     from gateway.acquire.goto import Destination
     from gateway.acquire.plan import Plan
     from gateway.acquire.session import RecordRequest
-    from gateway.acquire.until.goal import Goal
-    from gateway.acquire.until.search import LoadSearch, NextStep
+    from gateway.acquire.until import LoadSearch, NextStep
+    from gateway.acquire.until_goal import Goal
     from gateway.cell.config import LoadedCell
     from gateway.data.recording.recorded import Recording
     from gateway.jobs.commission import Job
@@ -96,19 +97,17 @@ def commission(
     if repetitions is not None and junit_file is not None:
         raise click.UsageError("--junit holds one measurement, --repeat makes several: give one of them")
     check_expected(expected, labels)
-    drift = thermal_choice(thermal, warm_up_min, goal)
+    warm_up_s = longest_warm_up_s(thermal, warm_up_min, goal)
     context = open_cell(cell, bus_spec, reserve, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     note_remarks(arm_robot(context.loaded, arm))
-    job = Job(context, arm, labels, out / RECORDING, operator=operator, goal=goal, thermal=drift)
-    once = _Commissioning(job, resume, expected, moving)
+    summaries = () if resume or repetitions is None else (out / JSON_NAME, out / PAGE_NAME)
+    job = Job(context, arm, labels, out / RECORDING, operator=operator, goal=goal, warm_up_s=warm_up_s)
+    once = _Commissioning(replace(job, outdated=summaries), resume, expected, moving)
     if repetitions is None:
         once.run(1, out, junit_file)
-        return
-    if not resume:
-        for name in (JSON_NAME, PAGE_NAME):
-            keep_earlier(out / name, session_of())
-    repeat(repetitions, out, resume, once.run)
+    else:
+        repeat(repetitions, out, resume, once.run)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +127,9 @@ class _Commissioning:
         FindingFailed
             The result has a failing finding.
         """
-        from drives.errors import DriveError
-        from gateway.acquire.thermal import WARM_UP_FILE
         from gateway.data.recording.reader import read
         from gateway.data.recording.writer import refuse_other_cell
+        from gateway.jobs.commission import WARM_UP
         from gateway.jobs.commission import commission as run
         from gateway.pipeline.accept import accept
         from gateway.report.render import render
@@ -143,17 +141,11 @@ class _Commissioning:
         refuse_unwritable(recording, "--out")
         if self.resume and recording.exists():
             refuse_other_cell(read(recording), job.context.loaded.text)
-        if not self.resume:
-            for path in (recording, out / WARM_UP_FILE, out / "result.json", out / "report.html"):
-                keep_earlier(path, session_of())
-        try:
-            with stoppable(self.moving) as options:
-                job = replace(job, recording=recording, options=options, repetition=repetition)
-                result = run(job, Terminal(session_of(), self.moving))
-        except (GatewayError, DriveError, KeyboardInterrupt, click.Abort) as error:
-            if recording.exists():
-                error.add_note(f"Measured data: {recording}; commission --resume continues once the cause is gone.")
-            raise
+        written = () if self.resume else (recording, out / WARM_UP, out / "result.json", out / "report.html")
+        with measured_data_noted(recording, self.resume, "commission"), stoppable(self.moving) as options:
+            outdated = (*written, *job.outdated)
+            job = replace(job, recording=recording, options=options, repetition=repetition, outdated=outdated)
+            result = run(job, Terminal(session_of(), self.moving))
         result = accept(result, self.expected, job.arm)
         write_json(str(out / "result.json"), to_dict(result))
         replace_file(out / "report.html", render(result))
@@ -176,14 +168,18 @@ def _refuse_labels(labels: Sequence[str]) -> None:
         raise click.UsageError(f"--load {twice} is given twice: give each load once")
 
 
-def keep_earlier(path: Path, session: Session) -> None:
-    """Rename a file of an earlier job."""
-    if not path.exists():
-        return
-    names = (path.with_suffix(f".{number}{path.suffix}") for number in range(1, 10_000))
-    kept = next(name for name in names if not name.exists())
-    path.rename(kept)
-    session.note(f"{path} renamed to {kept}")
+@contextmanager
+def measured_data_noted(recording: Path, is_continued: bool, command: str) -> Generator[None]:
+    """Add to an error where the data measured until then is; a recording of an earlier job is none of it."""
+    from drives.errors import DriveError
+
+    before = recording.stat().st_ino if recording.exists() else None
+    try:
+        yield
+    except (GatewayError, DriveError, KeyboardInterrupt, click.Abort) as error:
+        if recording.exists() and (is_continued or recording.stat().st_ino != before):
+            error.add_note(f"Measured data: {recording}; {command} --resume continues once the cause is gone.")
+        raise
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,11 +208,6 @@ class MeasuringOptions:
         if self.resume and path.exists():
             refuse_other_cell(read(path), loaded.text)
         return path
-
-    def keep(self, recording: Path) -> None:
-        """Rename an earlier recording, unless it is continued."""
-        if not self.resume:
-            keep_earlier(recording, session_of())
 
 
 @dataclass(frozen=True, slots=True)

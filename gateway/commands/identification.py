@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +24,7 @@ from gateway.commands.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from gateway.estimate import Coefficient
-    from gateway.pipeline.inputs import AnalysisInputs, ModelRequest
+    from gateway.pipeline.inputs import ModelRequest
     from gateway.result.acceptance import Expected
     from gateway.result.result import Result
 
@@ -54,10 +52,10 @@ def model_request(
 
 def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
     """Return the name of an estimator; any other name is a usage error."""
-    from gateway.estimate import ESTIMATORS
+    from gateway.estimate import METHODS
 
-    if value not in ESTIMATORS:
-        raise click.BadParameter(f"'{value}' is not a method; choose one of {', '.join(ESTIMATORS)}")
+    if value not in METHODS:
+        raise click.BadParameter(f"'{value}' is not a method; choose one of {', '.join(METHODS)}")
     return value
 
 
@@ -117,6 +115,7 @@ def estimate(
 ) -> None:
     """Estimate mass and centre of gravity of each unknown load, with 95 % intervals; name what is not identifiable."""
     from gateway.api.analysis import estimated
+    from gateway.estimate import Coefficient
     from gateway.pipeline.accept import accept, check_against_data
     from gateway.pipeline.finalize import finalize
     from gateway.pipeline.inputs import collect_inputs, read_rows
@@ -126,8 +125,16 @@ def estimate(
     note_remarks(about.robot)
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
-    wanted = _Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
-    coefficient = wanted.of(about) if method == "coefficient" else None
+    coefficient = None
+    if method == "coefficient":
+        if axis is None or lever is None:
+            raise click.UsageError("--method coefficient needs --axis and --lever")
+        if about.arm is not None:
+            gear_ratio = gear_ratio or about.arm.axis[axis - 1].gear_ratio.value
+            gear_efficiency = gear_efficiency or about.arm.axis[axis - 1].gear_efficiency.value
+        if not gear_ratio or not gear_efficiency:
+            raise click.UsageError("--method coefficient needs --gear-ratio and --gear-efficiency, or --cell CELL")
+        coefficient = Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
     with session_of().working("estimation"):
         result = estimated(about, table, method, coefficient)
     result = accept(finalize(result, about, table, data, operator), expected, about.arm)
@@ -146,30 +153,6 @@ def _hand_over(result: Result, json_out: str | None, junit_file: Path | None, ar
         store(archive, result)
     show_result(result, session_of())
     fail_on_findings(result.findings)
-
-
-@dataclass(frozen=True, slots=True)
-class _Coefficient:
-    """Options of the coefficient method; None if not set."""
-
-    axis: int | None
-    lever: str | None
-    gear_ratio: float | None
-    gear_efficiency: float | None
-    rated_torque: float | None
-
-    def of(self, about: AnalysisInputs) -> Coefficient:
-        """Return the options of the method, completed from the cell."""
-        from gateway.estimate import Coefficient
-
-        if self.axis is None or self.lever is None:
-            raise click.UsageError("--method coefficient needs --axis and --lever")
-        config = None if about.arm is None else about.arm.axis[self.axis - 1]
-        ratio = self.gear_ratio if config is None else self.gear_ratio or config.gear_ratio.value
-        efficiency = self.gear_efficiency if config is None else self.gear_efficiency or config.gear_efficiency.value
-        if not ratio or not efficiency:
-            raise click.UsageError("--method coefficient needs --gear-ratio and --gear-efficiency, or --cell CELL")
-        return Coefficient(self.axis, self.lever, ratio, efficiency, self.rated_torque)
 
 
 def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> frozenset[str]:

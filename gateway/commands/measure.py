@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,8 +32,8 @@ from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
-    from gateway.acquire.until.prepare import UntilRequest
     from gateway.cell.config import ArmConfig, LoadedCell
+    from gateway.data.recording.recorded import Recording
     from gateway.excite.expected import Purpose
 
 arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm to use, if the cell has several.")
@@ -226,6 +225,8 @@ def record(
     from gateway.acquire.session import MOVING_KEYS, RecordRequest
     from gateway.commands.progress import recording_with_progress
     from gateway.commands.record_moving import MovingWish, record_in_motion, refuse_mixed
+    from gateway.data.recording.reader import read
+    from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
     from gateway.jobs.cell_context import open_cell
     from gateway.jobs.frame import begin_motion, flange_question
     from gateway.model.arm_model import arm_named, arm_robot
@@ -242,11 +243,17 @@ def record(
     if in_motion:
         record_in_motion(context, arm, MovingWish(label, output, resume, moving_plan, rate_hz, trace, json_out), moving)
         return
-    wanted = _Wanted(output, resume or bool(poses[1]), *poses, result)
+    resume = resume or bool(poses[1])
+    if until.goal is not None and (any(poses) or result is not None):
+        raise click.UsageError("--until chooses the poses itself: omit --pose and --next")
+    if output.exists() and not resume:
+        raise InputError(f"{output} exists; {NOT_REPLACED}")
+    earlier = read(output) if output.exists() else None
+    refuse_other_cell(earlier, context.loaded.text)
     source: Plan | PoseByPose = (
-        _plan_for(context.loaded, arm, wanted)
+        _plan_for(context.loaded, arm, output, earlier, *poses, result)
         if until.goal is None
-        else _search_for(context.loaded, arm, wanted, until.request(label, output, cell))
+        else pose_by_pose(context, arm, label, output, until)
     )
     session = session_of()
     note_remarks(arm_robot(context.loaded, arm))
@@ -255,7 +262,7 @@ def record(
     with stoppable(moving) as options, context.opened(arm, trace=trace) as opened:
         options = begin_motion(context, (opened,), options, moving.ask, session.note, also=flange_question(label))
         if isinstance(source, Plan):
-            request = RecordRequest(label, output, wanted.resume, bool(poses[1]))
+            request = RecordRequest(label, output, resume, bool(poses[1]))
             summary, decision = recording_with_progress(session, opened, source, request, options), None
         else:
             summary, decision = source.run(session, opened, options)
@@ -267,71 +274,31 @@ def record(
     session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
 
 
-@dataclass(frozen=True, slots=True)
-class _Wanted:
-    """Poses to measure and the file to write.
-
-    Attributes
-    ----------
-    output : Path
-    resume : bool
-    poses : tuple of tuples of floats
-        Joint angles from the command line.
-    again : tuple of int
-        Numbers of poses to measure again.
-    result : Path or None
-        Result whose `next` proposes poses.
-    """
-
-    output: Path
-    resume: bool
-    poses: tuple[tuple[float, ...], ...]
-    again: tuple[int, ...]
-    result: Path | None
-
-
-def _search_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted, request: UntilRequest) -> PoseByPose:
-    """A recording whose poses are chosen during the measurement."""
-    if wanted.poses or wanted.again or wanted.result is not None:
-        raise click.UsageError("--until chooses the poses itself: omit --pose and --next")
-    _refuse_to_replace(wanted)
-    if wanted.output.exists():
-        from gateway.data.recording.reader import read
-        from gateway.data.recording.writer import refuse_other_cell
-
-        refuse_other_cell(read(wanted.output), loaded.text)
-    return pose_by_pose(loaded, arm, request)
-
-
-def _refuse_to_replace(wanted: _Wanted) -> None:
-    from gateway.data.recording.writer import NOT_REPLACED
-
-    if wanted.output.exists() and not wanted.resume:
-        raise InputError(f"{wanted.output} exists; {NOT_REPLACED}")
-
-
-def _plan_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted) -> Plan:
+def _plan_for(
+    loaded: LoadedCell,
+    arm: ArmConfig,
+    output: Path,
+    earlier: Recording | None,
+    poses: tuple[tuple[float, ...], ...],
+    again: tuple[int, ...],
+    result: Path | None,
+) -> Plan:
     """Return the requested poses, otherwise those of the continued file, otherwise those of the cell."""
-    from gateway.acquire.requested_poses import Asked, asked_by, plan_again, plan_asked
-    from gateway.acquire.session import make_plan, plan_of_recording
-    from gateway.data.recording.reader import read
-    from gateway.data.recording.writer import refuse_other_cell
+    from gateway.acquire.planning import make_plan
+    from gateway.acquire.requested_poses import asked_by, plan_again, plan_asked
+    from gateway.acquire.session import plan_of_recording
 
-    if sum(map(bool, (wanted.poses, wanted.again, wanted.result))) > 1:
+    if sum(map(bool, (poses, again, result))) > 1:
         raise click.UsageError("--pose J1,J2,.., --pose N and --next exclude each other: give one of them")
-    if any(len(q_rad) != len(arm.axis) for q_rad in wanted.poses):
+    if any(len(q_rad) != len(arm.axis) for q_rad in poses):
         raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes: give one joint angle per axis")
-    _refuse_to_replace(wanted)
-    earlier = read(wanted.output) if wanted.output.exists() else None
-    refuse_other_cell(earlier, loaded.text)
-    if wanted.again:
+    if again:
         if earlier is None:
-            raise InputError(
-                f"--pose {wanted.again[0]}: {wanted.output} does not exist yet, so it has no pose with this number"
-            )
-        return plan_again(loaded, arm, wanted.again, earlier)
-    if wanted.result is not None:
-        return plan_asked(loaded, arm, asked_by(wanted.result, loaded, arm), earlier)
-    if wanted.poses:
-        return plan_asked(loaded, arm, Asked(wanted.poses), earlier)
+            raise InputError(f"--pose {again[0]}: {output} does not exist yet, so it has no pose with this number")
+        return plan_again(loaded, arm, again, earlier)
+    if result is not None:
+        q_rad, taken = asked_by(result, loaded, arm)
+        return plan_asked(loaded, arm, q_rad, earlier, taken)
+    if poses:
+        return plan_asked(loaded, arm, poses, earlier)
     return make_plan(loaded, arm=arm.name) if earlier is None else plan_of_recording(loaded, earlier, arm.name)

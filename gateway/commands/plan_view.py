@@ -31,7 +31,6 @@ def space_in_words(workspace: Workspace) -> list[str]:
 
 def view_of_plan(plan: Plan, workspace: Workspace) -> str:
     """Return an HTML page with poses, paths and boxes."""
-    from gateway.acquire.plan import Approach, MoveTo
     from gateway.model.kinematics import flange_frames
     from gateway.motion.joint_path import path_positions, postures_at
     from gateway.report.plan import plan_page
@@ -47,8 +46,7 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
         )
         for row, pose in enumerate(plan.poses)
     ]
-    corners = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
-    path = flange_frames(workspace.robot, postures_at(corners, path_positions(corners)))[:, :3, 3]
+    path = flange_frames(workspace.robot, postures_at(plan.corners_rad, path_positions(plan.corners_rad)))[:, :3, 3]
     return plan_page(plan.arm, poses, path.tolist(), workspace.space.boxes_m.tolist(), space_in_words(workspace))
 
 

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import click
-
-if TYPE_CHECKING:
-    from gateway.acquire.thermal import Thermal
 
 #: Default of the longest warm-up [min].
 WARM_UP_MIN = 30.0
@@ -26,8 +21,8 @@ warm_up_option = click.option(
 )
 
 
-def thermal_choice(thermal: bool, warm_up_min: float | None, until: object | None) -> Thermal | None:
-    """Return the requested thermal procedure.
+def longest_warm_up_s(thermal: bool, warm_up_min: float | None, until: object | None) -> float | None:
+    """Return the longest warm-up [s] of the requested thermal procedure; None if it is not requested.
 
     Raises
     ------
@@ -40,6 +35,4 @@ def thermal_choice(thermal: bool, warm_up_min: float | None, until: object | Non
         return None
     if until is not None:
         raise click.UsageError("--thermal measures all poses twice, --until as few as possible: give one of them")
-    from gateway.acquire.thermal import Thermal
-
-    return Thermal(60.0 * (WARM_UP_MIN if warm_up_min is None else warm_up_min))
+    return 60.0 * (WARM_UP_MIN if warm_up_min is None else warm_up_min)

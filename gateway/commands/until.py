@@ -15,12 +15,12 @@ from gateway.result.interval import SAID
 
 if TYPE_CHECKING:
     from gateway.acquire.session import RecordingSummary
-    from gateway.acquire.until.goal import Goal
-    from gateway.acquire.until.prepare import UntilRequest
-    from gateway.acquire.until.search import LoadSearch, NextStep
-    from gateway.cell.config import ArmConfig, LoadedCell
+    from gateway.acquire.until import LoadSearch, NextStep
+    from gateway.acquire.until_goal import Goal
+    from gateway.cell.config import ArmConfig
     from gateway.commands.console import Session
     from gateway.data.recording.recorded import Recording
+    from gateway.jobs.cell_context import CellContext
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
     from gateway.pipeline.known import KnownLoad
@@ -42,23 +42,9 @@ class UntilChoice:
     bare: Path | None
     known: tuple[tuple[str, KnownLoad], ...]
 
-    def request(self, label: str, path: Path, cell: Path) -> UntilRequest:
-        """Return the request to measure a load into a file until the goal is reached.
-
-        Raises
-        ------
-        UsageError
-            No goal was given.
-        """
-        from gateway.acquire.until.prepare import UntilRequest
-
-        if self.goal is None:
-            raise click.UsageError("--until is missing: give the required interval")
-        return UntilRequest(label, self.goal, path, cell, self.bare, dict(self.known))
-
 
 def _goal(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Goal | None:
-    from gateway.acquire.until.goal import parse_until
+    from gateway.acquire.until_goal import parse_until
 
     return None if value is None else parse_until(value)
 
@@ -123,8 +109,8 @@ class PoseByPose:
         search = self.search
         session.show(
             f"load {search.label} is measured pose by pose, each approached from both directions, until "
-            f"{search.goal} ({SAID}); each pose is the one of {len(search.pool)} postures and their neighbours with "
-            "the most expected information per second"
+            f"{search.goal} ({SAID}); each pose is the one of {len(search.pool_rad)} postures and their neighbours "
+            "with the most expected information per second"
         )
 
     def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> tuple[RecordingSummary, NextStep]:
@@ -135,7 +121,7 @@ class PoseByPose:
         InputError, PlanRefused, DriveError, KeyboardInterrupt
             As `record_until`.
         """
-        from gateway.acquire.until.run import record_until
+        from gateway.acquire.until import record_until
         from gateway.commands.progress import ProgressListener
 
         with session.progress(1.0, f"load {self.search.label}") as bar:
@@ -145,23 +131,30 @@ class PoseByPose:
         return summary, decision
 
 
-def pose_by_pose(loaded: LoadedCell, arm: ArmConfig, request: UntilRequest) -> PoseByPose:
+def pose_by_pose(context: CellContext, arm: ArmConfig, label: str, path: Path, until: UntilChoice) -> PoseByPose:
     """Prepare a recording until a load is known; nothing moves.
 
     Raises
     ------
+    UsageError
+        No goal was given.
     InputError, PlanRefused
         As `search_of`.
     """
     import numpy as np
 
-    from gateway.acquire.until.prepare import search_of
+    from gateway.acquire.until import search_of
     from gateway.model.arm_model import arm_robot
     from gateway.motion.workspace import workspace_of
 
-    workspace = workspace_of(arm, arm_robot(loaded, arm))
-    search, earlier = search_of(loaded, workspace, arm, request, np.empty((0, len(arm.axis))))
-    return PoseByPose(search, request.path, earlier)
+    if until.goal is None:
+        raise click.UsageError("--until is missing: give the required interval")
+    loaded, known = context.loaded, dict(until.known)
+    workspace, apart_rad = workspace_of(arm, arm_robot(loaded, arm)), np.empty((0, len(arm.axis)))
+    search, earlier = search_of(
+        loaded, workspace, arm, label, until.goal, path, context.path, apart_rad, bare=until.bare, known=known
+    )
+    return PoseByPose(search, path, earlier)
 
 
 def as_json(reason: str, decision: NextStep) -> dict[str, Any]:

@@ -2,6 +2,5 @@
 
 from gateway.diagnose.entry import diagnose
 from gateway.diagnose.loop import close_loop, next_poses
-from gateway.diagnose.options import DiagnoseOptions
 
-__all__ = ["DiagnoseOptions", "close_loop", "diagnose", "next_poses"]
+__all__ = ["close_loop", "diagnose", "next_poses"]

@@ -6,18 +6,29 @@ from dataclasses import replace
 
 from gateway.data.table import Table
 from gateway.diagnose.moving.diagnosis import diagnose_motion
-from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
+from gateway.diagnose.rest.pose_selection import PoseChoice
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate import ESTIMATORS
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import load_result
 from gateway.identify.prior_loads import refuse_in_motion
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot
-from gateway.result.result import Finding, Result
+from gateway.result.result import Finding, HoldoutKind, Result
 
 
-def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None) -> Result:
+def diagnose(
+    table: Table,
+    robot: Robot,
+    knowledge: Knowledge | None = None,
+    *,
+    holdout: Table | None = None,
+    holdout_kind: HoldoutKind = "given",
+    only: frozenset[str] = frozenset(),
+    without: frozenset[str] = frozenset(),
+    pose_choice: PoseChoice = None,
+) -> Result:
     """Find the physical effects that the model lacks.
 
     Parameters
@@ -26,7 +37,14 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
         Rest visits, or a moving run; where both are present, effects are searched in the rest visits. If none is found,
         the loads are estimated from both.
     robot : Robot
-    options : DiagnoseOptions, optional
+    knowledge : Knowledge, optional
+    holdout : Table, optional
+        Rows to keep out of every fit.
+    holdout_kind : "given" (by the user) or "fresh" (measured afterwards)
+    only, without : frozenset of str
+        Names of the only effects to try; of effects not to try.
+    pose_choice : array of shape (k, N), or function that returns it on demand, optional
+        Poses that may be recommended [rad]; without it any between the joint angles that were visited.
 
     Returns
     -------
@@ -37,32 +55,32 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
     DataUnusable : no torque measured, no rest visit and no motion, or hold-out rows at rest for fitted rows in motion
         or the reverse
     InputError : a known load that is not in the data, or hold-out rows with another number of axes
-    ConfigError : `inertials` is not understood
     """
-    options = options or DiagnoseOptions()
+    knowledge = knowledge or Knowledge()
     moves = bool(table.moving.all())
-    held, left_out = _held_out_of_kind(options.holdout, robot, moves=moves)
-    options = replace(options, holdout=held)
+    held, left_out = _held_out_of_kind(holdout, robot, moves=moves)
     if moves:
-        refuse_in_motion(options.masses)
-        gears = options.efficiency, options.coupling
-        held = None if options.holdout is None else behind_gears(options.holdout, *gears)
-        result = diagnose_motion(behind_gears(table, *gears), robot, replace(options, holdout=held))
+        refuse_in_motion(knowledge.masses)
+        gears = knowledge.efficiency, knowledge.coupling
+        held = None if held is None else behind_gears(held, *gears)
+        behind = replace(knowledge, efficiency=None, coupling=None)
+        moving = behind_gears(table, *gears)
+        result = diagnose_motion(moving, robot, behind, holdout=held, only=only, without=without)
     else:
-        rest = RestDiagnosis(robot, options)
+        rest = RestDiagnosis(robot, knowledge, only=only, without=without, pose_choice=pose_choice)
         read = rest.read(table.take(~table.moving))
         refused = rest.refusal(read)
-        result = refused or rest.report(rest.search(read), options.holdout, options.holdout_kind)
+        result = refused or rest.report(rest.search(read), held, holdout_kind)
         if table.moving.any():
-            if not (refused or result.effects or options.masses):
-                result = _of_both(result, table, robot, options)
+            if not (refused or result.effects or knowledge.masses):
+                result = _of_both(result, table, robot, rest.stated)
             left_out = (*_beside(int(table.moving.sum()), "moving", "rest"), *left_out)
     return replace(result, findings=(*result.findings, *left_out)) if left_out else result
 
 
-def _of_both(result: Result, table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
+def _of_both(result: Result, table: Table, robot: Robot, knowledge: Knowledge) -> Result:
     """Return the result with the loads that `estimate` gives from rest and moving rows together."""
-    found = ESTIMATORS["joint"](table, robot, options.as_estimate(robot))
+    found = ESTIMATORS["joint"](table, robot, knowledge)
     loads = tuple(load_result(load, robot) for load in found.loads)
     nuisance = {**result.nuisance, **found.nuisance}
     return replace(result, loads=loads, after=replace(result.after, loads=loads), nuisance=nuisance)

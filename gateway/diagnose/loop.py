@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table, concatenate
-from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
+from gateway.diagnose.rest.pose_selection import PoseChoice
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import Robot
 from gateway.result.result import Decided, Result
 
@@ -22,7 +23,14 @@ ROUNDS = 3
 
 
 def close_loop(
-    table: Table, robot: Robot, options: DiagnoseOptions, measure: Measure, validation_rad: Floats
+    table: Table,
+    robot: Robot,
+    knowledge: Knowledge,
+    measure: Measure,
+    validation_rad: Floats,
+    *,
+    only: frozenset[str] = frozenset(),
+    pose_choice: PoseChoice = None,
 ) -> tuple[Result, Table]:
     """Diagnose, and let the robot measure the requested poses until the result is final.
 
@@ -31,17 +39,18 @@ def close_loop(
     table : Table
         Visits measured so far.
     robot : Robot
-    options : DiagnoseOptions
+    knowledge : Knowledge
     measure : poses (k, N) [rad] -> Table
         Moves to the poses with the present load and measures; must assign new pose numbers.
     validation_rad : array of shape (k, N)
         Poses on which the result is validated; may be empty.
+    only, pose_choice : as of `diagnose`
 
     Returns
     -------
     the result, and all visits
     """
-    rest = RestDiagnosis(robot, options)
+    rest = RestDiagnosis(robot, knowledge, only=only, pose_choice=pose_choice)
     table = table.take(~table.moving)
     read = rest.read(table)
     refused = rest.refusal(read)

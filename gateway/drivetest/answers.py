@@ -198,7 +198,8 @@ def _reactions(bus: Bus, drive: Cia402Drive) -> list[tuple[float, float]]:
     def command(controlword: int) -> tuple[float, float]:
         """Send a controlword with the present position, then SYNC; return the times of that SYNC."""
         drive.hold(drive.access.read(drive.setup.profile.position.object))
-        bus.send_frame(drive.frame(controlword))
+        drive.pack(controlword)
+        bus.send_frame(drive.frames[0])
         return _sync(bus)
 
     bounds: list[tuple[float, float]] = []

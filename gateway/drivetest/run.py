@@ -51,6 +51,8 @@ AGE_MARGIN_S: Final = 0.002
 #: A stop may last this many times the duration of the ramp in the drive, and longer by this [s] and two SYNCs.
 RAMP_FACTOR: Final = 2.0
 RAMP_MARGIN_S: Final = 0.05
+#: Errors that end the test of a drive, after which nothing moves any more.
+TEST_ENDS: Final = (DriveError, FindingFailed, LimitExceeded, PlanRefused)
 
 
 @dataclass(slots=True, eq=False)
@@ -133,8 +135,8 @@ class DriveTestRun:
     ----------
     reports : list of DriveTestReport
         Of the tested drives, in the order of the axes.
-    error : Exception or None
-        Why the test ended early, if no tested drive is named as its cause.
+    is_explained : bool
+        True unless the test ended early by an error that no report names.
     """
 
     def __init__(self, opened: OpenArm, numbers: Collection[int], folder: Path, say: Callable[[str], None]) -> None:
@@ -145,7 +147,7 @@ class DriveTestRun:
         #: Reports by axis, from 0.
         self._tested = {number: _report(number, opened.group.drives[number]) for number in sorted(numbers)}
         self.reports = list(self._tested.values())
-        self.error: Exception | None = None
+        self.is_explained = True
 
     def write(self) -> None:
         """Write one file per drive."""
@@ -164,8 +166,10 @@ class DriveTestRun:
 
         Raises
         ------
+        DriveError, FindingFailed, LimitExceeded, PlanRefused
+            The test ended early; it is a finding of the drives that it names, else not `is_explained`.
         KeyboardInterrupt
-            A person stopped the arm. Other failures are findings of the drives that they name, else `error`.
+            A person stopped the arm.
         """
         options.observers.add(self._motion)
         phases: list[tuple[str, Callable[[], None]]] = [
@@ -183,16 +187,16 @@ class DriveTestRun:
                 self._say(text)
                 phase()
                 self.write()
-        except (DriveError, FindingFailed, LimitExceeded, PlanRefused) as error:
+        except TEST_ENDS as error:
             why = f"not measured: the test ended, {text}: {error}"
             failures = [each for each in getattr(error, "failures", (error,)) if isinstance(each, DriveError)]
             by_node = {failure.node: failure for failure in failures if failure.node is not None}
             named = [report for report in self.reports if report.node in by_node]
-            if named and len(by_node) < len(self._group.drives):  # one of all drives is of the bus or this computer
-                for report in named:
-                    report.findings.append(f"{text}: {by_node[report.node]}")
-            else:
-                self.error = error
+            # one of all drives is of the bus or this computer
+            self.is_explained = bool(named) and len(by_node) < len(self._group.drives)
+            for report in named if self.is_explained else ():
+                report.findings.append(f"{text}: {by_node[report.node]}")
+            raise
         finally:
             self._group.bus.remove_tap(self._frames.take)
             for report in self.reports:

@@ -1,6 +1,6 @@
 """Estimators of the mass and centre of gravity of a load, with uncertainty, from measured rows and a robot model.
 
-To add a method: write a function `(table, robot, options) -> Estimate` in a file of its own and list it in
+To add a method: write a function `(table, robot, knowledge) -> Estimate` in a file of its own and list it in
 `ESTIMATORS`.
 """
 
@@ -11,20 +11,20 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
-from gateway.estimate.coefficient import estimate_coefficient
+from gateway.estimate.coefficient import Coefficient, estimate_coefficient
 from gateway.estimate.describe import axis_sigma
 from gateway.estimate.difference import estimate_difference
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.handover import to_result
 from gateway.estimate.joint import estimate_joint, refused_loads
 from gateway.estimate.moving_estimate import estimate_moving
-from gateway.estimate.options import Coefficient, EstimateOptions
 from gateway.estimate.posture import estimate_posture
 from gateway.estimate.recommendation import next_pose, shrinks_most
-from gateway.identify.links import default_inertials
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.rest_rows import fitted_rest
 from gateway.identify.prior_loads import BARE_LABEL, refuse_absent, refuse_in_motion
 from gateway.identify.rejected import without_outliers
@@ -34,50 +34,50 @@ from gateway.result.result import Finding, Result
 
 __all__ = [
     "ESTIMATORS",
+    "METHODS",
     "Coefficient",
     "Estimate",
-    "EstimateOptions",
-    "default_inertials",
     "estimate",
     "run",
     "to_result",
 ]
 
-Estimator = Callable[[Table, Robot, EstimateOptions], Estimate]
+Floats = NDArray[np.float64]
+Estimator = Callable[[Table, Robot, Knowledge], Estimate]
 
 
-def _of_visits(function: Callable[[Visits, Robot, EstimateOptions], Estimate]) -> Estimator:
-    def with_table(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
-        sound, rejected = without_outliers(_visits(table, options), robot, options.gravity_m_s2)
-        found = function(sound, robot, options)
+def _of_visits(function: Callable[[Visits, Robot, Knowledge], Estimate]) -> Estimator:
+    def with_table(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
+        sound, rejected = without_outliers(_visits(table, knowledge), robot, knowledge.gravity_m_s2)
+        found = function(sound, robot, knowledge)
         return replace(found, set_aside=rejected.entries, findings=(*rejected.findings, *found.findings))
 
     return with_table
 
 
-def _visits(table: Table, options: EstimateOptions) -> Visits:
-    visits = pair_visits(table, options.efficiency, options.coupling)
+def _visits(table: Table, knowledge: Knowledge) -> Visits:
+    visits = pair_visits(table, knowledge.efficiency, knowledge.coupling)
     if not len(visits):
         raise DataUnusable("the data contain no rows at rest; this method needs poses at rest (column 'pose')")
     return visits
 
 
-def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
+def _joint(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
     """Estimate with the joint method from the rest rows, or from the moving rows if there are no rest rows."""
     if table.moving.any():
-        refuse_in_motion(options.masses)
+        refuse_in_motion(knowledge.masses)
     if table.moving.all():
-        return estimate_moving(table, robot, options)
+        return estimate_moving(table, robot, knowledge)
     if not table.moving.any():
-        return _of_visits(estimate_joint)(table, robot, options)
-    if options.bare is not None:
+        return _of_visits(estimate_joint)(table, robot, knowledge)
+    if knowledge.bare is not None:
         note = Finding(
             "info", "moving rows", f"{int(table.moving.sum())} moving rows were left out: --bare is of rest rows alone"
         )
-        at_rest = _of_visits(estimate_joint)(table.take(~table.moving), robot, options)
+        at_rest = _of_visits(estimate_joint)(table.take(~table.moving), robot, knowledge)
         return replace(at_rest, findings=(*at_rest.findings, note))
     try:
-        return _together(table, robot, options)
+        return _together(table, robot, knowledge)
     except DataUnusable as error:  # too little motion to be fitted: the rest rows stand alone
         note = Finding(
             "info",
@@ -85,27 +85,27 @@ def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
             f"{int(table.moving.sum())} moving rows were left out beside the rest rows",
             str(error),
         )
-        at_rest = _of_visits(estimate_joint)(table, robot, options)
+        at_rest = _of_visits(estimate_joint)(table, robot, knowledge)
         return replace(at_rest, findings=(*at_rest.findings, note))
 
 
-def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
+def _together(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
     """Fit rest and moving rows in one solution, without the loads whose rest rows contradict each other."""
-    sound, rejected = without_outliers(_visits(table, options), robot, options.gravity_m_s2)
-    rest = fitted_rest(sound, robot, options)
-    at_rest = options.of_loads(sound.load)
+    sound, rejected = without_outliers(_visits(table, knowledge), robot, knowledge.gravity_m_s2)
+    rest = fitted_rest(sound, robot, knowledge)
+    at_rest = knowledge.of_loads(sound.load)
     gone = refused_loads(rest.problem, rest.fit, robot, at_rest)
     kept = ~np.isin(np.asarray(table.load), list(gone))
     if gone and not (table.moving & kept).any():
         return _of_visits(estimate_joint)(table.take(~table.moving), robot, at_rest)
     if gone:
         sound = sound.take(~np.isin(sound.load, list(gone)))
-        rest = fitted_rest(sound, robot, options) if len(sound) else None
-    found = estimate_moving(table.take(kept), robot, options.of_loads(set(options.known) - set(gone)), rest=rest)
+        rest = fitted_rest(sound, robot, knowledge) if len(sound) else None
+    found = estimate_moving(table.take(kept), robot, knowledge.of_loads(set(knowledge.known) - set(gone)), rest=rest)
     return replace(
         found,
         method="joint",
-        loads=(*found.loads, *(load for label, load in gone.items() if label not in (BARE_LABEL, *options.known))),
+        loads=(*found.loads, *(load for label, load in gone.items() if label not in (BARE_LABEL, *knowledge.known))),
         sigma_nm=found.sigma_nm if rest is None else axis_sigma(rest.problem, rest.fit),
         band_nm=found.band_nm if rest is None else np.abs(rest.problem.rows.band_nm),
         set_aside=(*rejected.entries, *found.set_aside),
@@ -117,11 +117,19 @@ ESTIMATORS: Mapping[str, Estimator] = {
     "joint": _joint,
     "difference": _of_visits(estimate_difference),
     "posture": _of_visits(estimate_posture),
-    "coefficient": estimate_coefficient,
 }
+METHODS = (*ESTIMATORS, "coefficient")
 
 
-def estimate(table: Table, robot: Robot | None, options: EstimateOptions, method: str = "joint") -> Estimate:
+def estimate(
+    table: Table,
+    robot: Robot | None,
+    knowledge: Knowledge,
+    method: str = "joint",
+    *,
+    coefficient: Coefficient | None = None,
+    pose_choice: Floats | None = None,
+) -> Estimate:
     """Estimate the loads of a table.
 
     Parameters
@@ -129,9 +137,13 @@ def estimate(table: Table, robot: Robot | None, options: EstimateOptions, method
     table : Table
     robot : Robot or None
         Only the coefficient method does without.
-    options : EstimateOptions
+    knowledge : Knowledge
     method : str
-        A key of `ESTIMATORS`.
+        One of `METHODS`.
+    coefficient : Coefficient, optional
+        Inputs that the coefficient method needs.
+    pose_choice : array of shape (k, N), optional
+        Poses that may be recommended [rad]; without it any within the robot's joint limits.
 
     Raises
     ------
@@ -140,25 +152,30 @@ def estimate(table: Table, robot: Robot | None, options: EstimateOptions, method
     InputError, DataUnusable
         As documented at the method.
     """
-    if method not in ESTIMATORS:
-        raise ConfigError(f"--method {method}: choose one of {', '.join(ESTIMATORS)}")
+    if method not in METHODS:
+        raise ConfigError(f"--method {method}: choose one of {', '.join(METHODS)}")
     if method == "coefficient":
-        return estimate_coefficient(table, robot, options)
+        return estimate_coefficient(table, knowledge, coefficient)
     if robot is None:
         raise ConfigError(f"--method {method} needs the robot model: give --robot R.urdf or --cell CELL")
-    refuse_absent(table.load, options.masses)
-    found = ESTIMATORS[method](table, robot, options)
-    advice = [next_pose(load, robot, found.sigma_nm, options) for load in found.loads]
-    advice += [shrinks_most(load) for load in found.loads if load.label not in options.weighed]
+    refuse_absent(table.load, knowledge.masses)
+    knowledge = knowledge.of_robot(robot)
+    found = ESTIMATORS[method](table, robot, knowledge)
+    advice = [next_pose(load, robot, found.sigma_nm, knowledge, pose_choice) for load in found.loads]
+    advice += [shrinks_most(load) for load in found.loads if load.label not in knowledge.weighed]
     return replace(found, next=tuple(entry for entry in advice if entry is not None))
 
 
 def run(
     table: Table,
     robot: Robot | None,
-    options: EstimateOptions,
+    knowledge: Knowledge,
     method: str = "joint",
     provenance: Mapping[str, Any] | None = None,
+    *,
+    coefficient: Coefficient | None = None,
+    pose_choice: Floats | None = None,
 ) -> Result:
     """Estimate the loads and build the result file; arguments and errors as of `estimate`."""
-    return to_result(estimate(table, robot, options, method), robot, options, provenance)
+    found = estimate(table, robot, knowledge, method, coefficient=coefficient, pose_choice=pose_choice)
+    return to_result(found, robot, knowledge, provenance)

@@ -20,13 +20,12 @@ from gateway.data.rows import Table
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.consistency import describe_masses, disagree
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.options import Coefficient, EstimateOptions
 from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS, NOISE
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LOAD_PARTS, LoadEstimate, refused_load
 from gateway.identify.nuisance import change_covariance, gain_stds
 from gateway.identify.prior_loads import BARE_LABEL, refuse_absent
 from gateway.identify.rest.problem import BAND_UNSEEN
-from gateway.model.robot import Robot
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
@@ -34,6 +33,17 @@ Floats = NDArray[np.float64]
 STANDARD_GRAVITY_M_S2 = 9.80665
 _SHORT = 0.05
 _NORMAL = 1.959963984540054
+
+
+@dataclass(frozen=True, slots=True)
+class Coefficient:
+    """Inputs of the coefficient method: joint (from 1), lever column [m], gear, rated motor torque [Nm]."""
+
+    joint: int
+    lever: str
+    gear_ratio: float
+    gear_efficiency: float
+    rated_torque_nm: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,27 +72,24 @@ class _Case:
     change_std: float
 
 
-def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOptions) -> Estimate:
+def estimate_coefficient(table: Table, knowledge: Knowledge, how: Coefficient | None) -> Estimate:
     """Estimate the mass of every unknown load by the coefficient method.
 
     Parameters
     ----------
     table : Table
         Rest rows with the lever in its extra column and motor torque (or joint torque) of the axis.
-    robot : Robot or None
-        Not used: the lever replaces the geometry.
-    options : EstimateOptions
-        With `coefficient`.
+    knowledge : Knowledge
+    how : Coefficient or None
+        Inputs of the method; the lever replaces the geometry of the robot.
 
     Raises
     ------
     InputError
-        No such column, or a known load that is not in the data.
+        No inputs of the method, no such column, or a known load that is not in the data.
     DataUnusable
         The axis was not measured, no reference, or no common pose.
     """
-    del robot
-    how = options.coefficient
     if how is None:
         raise InputError("the coefficient method needs --axis, --lever, --gear-ratio and --gear-efficiency")
     rest = table.take(~table.moving)
@@ -91,14 +98,14 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOpt
     if how.lever not in rest.extra:
         have = ", ".join(rest.extra) or "none"
         raise InputError(f"--lever {how.lever}: no such column in the data; extra columns there: {have}")
-    labels = refuse_absent(rest.load, [*options.known, *options.masses])
-    masses = {BARE_LABEL: 0.0, **options.masses} | {label: value[0] for label, value in options.known.items()}
+    labels = refuse_absent(rest.load, [*knowledge.known, *knowledge.masses])
+    masses = {BARE_LABEL: 0.0, **knowledge.masses} | {label: value[0] for label, value in knowledge.known.items()}
     reference_label = next((label for label in masses if label in labels), None)
     if reference_label is None:
         raise DataUnusable("the coefficient method needs rows without load (load 'none') or with a known one")
     reference = {item.pose: item for item in _poses(rest, how, reference_label)}
-    gain_std = float(gain_stds(options.gain_std, table.axes)[how.joint - 1])
-    change_std = float(np.sqrt(change_covariance(1, options.change)[0, 0]))
+    gain_std = float(gain_stds(knowledge.gain_std, table.axes)[how.joint - 1])
+    change_std = float(np.sqrt(change_covariance(1, knowledge.change)[0, 0]))
     loads, findings = [], []
     for label in labels:
         if label == reference_label:

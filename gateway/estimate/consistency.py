@@ -34,9 +34,9 @@ def describe_masses(masses_kg: Mapping[str, float]) -> str:
     return f"{values.min():.3g} to {values.max():.3g} kg (median {np.median(values):.3g})"
 
 
-def hull_radius_m(robot: Robot, given_m: float | None) -> float:
+def hull_radius_m(robot: Robot) -> float:
     """Distance from the last link within which a load's centre of mass is expected [m]."""
-    return max(_HULL_SHARE * reach_m(robot), 0.1) if given_m is None else given_m
+    return max(_HULL_SHARE * reach_m(robot), 0.1)
 
 
 def physical_findings(load: LoadEstimate, frame: str, radius_m: float) -> list[Finding]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.estimate import Estimate, FittedRows
-from gateway.estimate.options import EstimateOptions
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.prior_loads import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -36,12 +36,12 @@ class LinkColumns:
     base: BaseSet
 
     @staticmethod
-    def of(robot: Robot, options: EstimateOptions) -> LinkColumns:
-        """Group the link parameters by the trust in the robot model's inertials that the options state."""
-        _, std = link_prior(robot, options.trust, PER_LINK_AT_REST)
+    def of(robot: Robot, knowledge: Knowledge) -> LinkColumns:
+        """Group the link parameters by the trust in the robot model's inertials that is stated."""
+        _, std = link_prior(robot, knowledge.trust, PER_LINK_AT_REST)
         open_ = np.flatnonzero(np.isinf(std))
         return LinkColumns(
-            np.flatnonzero(np.isfinite(std)), open_, rest_base(robot, options.gravity_m_s2, open_.tolist())
+            np.flatnonzero(np.isfinite(std)), open_, rest_base(robot, knowledge.gravity_m_s2, open_.tolist())
         )
 
 
@@ -49,11 +49,11 @@ def describe(
     problem: RestProblem,
     fit: Fit,
     robot: Robot,
-    options: EstimateOptions,
+    knowledge: Knowledge,
     by_statement: Mapping[str, Floats] | None = None,
 ) -> Estimate:
     """Return the estimate for a fit of rest visits; `by_statement` as in `load_estimates`."""
-    names, units, rows = zip(*_named(problem, LinkColumns.of(robot, options), len(fit.scale)), strict=True)
+    names, units, rows = zip(*_named(problem, LinkColumns.of(robot, knowledge), len(fit.scale)), strict=True)
     directions = np.array(rows)
     found = well_determined(problem, fit, directions)
     wide = widening(problem, fit, directions)
@@ -73,7 +73,7 @@ def describe(
         rank=fit.rank,
         condition=fit.condition,
         lumped=tuple(name for name, good in zip(names, found, strict=True) if not good),
-        bare=bare_of(problem, fit, robot, options),
+        bare=bare_of(problem, fit, robot, knowledge),
         nuisance=nuisance_results(problem, fit),
         quality={"rows": len(problem.target), "parameters": len(names)},
     )
@@ -133,9 +133,9 @@ def axis_sigma(problem: RestProblem, fit: Fit) -> Floats:
     return np.array([np.median(std[axis == k]) if (axis == k).any() else np.nan for k in range(problem.axes)])
 
 
-def bare_of(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> Bare | None:
+def bare_of(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Bare | None:
     """Return the base gravity parameters of the unloaded arm, if rows and priors determine all of them."""
-    base = rest_base(robot, options.gravity_m_s2)
+    base = rest_base(robot, knowledge.gravity_m_s2)
     rank, axes = base.rank, robot.axes
     # columns of effects come behind those that every hypothesis has
     directions = np.zeros((rank + 2 * axes, len(fit.scale)))
@@ -152,7 +152,7 @@ def bare_of(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptio
     value[rank:][~directions[rank:].any(axis=1)] = np.nan
     return Bare(
         robot=robot.name,
-        gravity_m_s2=tuple(float(g) for g in options.gravity_m_s2),
+        gravity_m_s2=tuple(float(g) for g in knowledge.gravity_m_s2),
         columns=tuple(base.indices.tolist()),
         names=base.names,
         value=tuple(value[:rank].tolist()),

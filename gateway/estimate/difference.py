@@ -22,9 +22,9 @@ from gateway.errors import DataUnusable
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate, FittedRows
-from gateway.estimate.options import EstimateOptions
 from gateway.estimate.recommendation import wrist_in_words
 from gateway.identify.budget import DRIFT
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import refused_load
 from gateway.identify.nuisance import change_covariance, gain_stds, losses
 from gateway.identify.prior_loads import BARE_LABEL, load_vector, unknown_labels
@@ -50,7 +50,7 @@ _OF_TWO = np.sqrt(2.0)
 _SAME_DIRECTION = "approach each pose from both directions, or under both loads from the same direction"
 
 
-def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
+def estimate_difference(visits: Visits, robot: Robot, knowledge: Knowledge) -> Estimate:
     """Estimate every unknown load against the known ones at the same poses.
 
     Parameters
@@ -58,7 +58,7 @@ def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) 
     visits : Visits
     robot : Robot
         Only its geometry is used.
-    options : EstimateOptions
+    knowledge : Knowledge
 
     Raises
     ------
@@ -67,8 +67,8 @@ def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) 
     DataUnusable
         No known load, no common pose, one posture (rank 3), gravity from nearly one side of the flange.
     """
-    labels = unknown_labels(visits.load, options.known)
-    known = [BARE_LABEL, *options.known]
+    labels = unknown_labels(visits.load, knowledge.known)
+    known = [BARE_LABEL, *knowledge.known]
     if not np.isin(visits.load, known).any():
         raise DataUnusable(
             "the difference method needs a known load: record the unloaded arm (load 'none') at the same poses, or"
@@ -77,7 +77,7 @@ def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) 
     if not labels:
         raise DataUnusable("every load in the data is known: there is nothing to estimate")
     reference = visits.take(np.isin(visits.load, known))
-    parts = [_one(visits, reference, robot, options, label) for label in labels]
+    parts = [_one(visits, reference, robot, knowledge, label) for label in labels]
     first = parts[0]
     return replace(
         first,
@@ -111,19 +111,19 @@ class _Differences:
     torque_nm: Floats
 
 
-def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptions, label: str) -> Estimate:
+def _one(visits: Visits, reference: Visits, robot: Robot, knowledge: Knowledge, label: str) -> Estimate:
     own = visits.take(visits.load == label)
-    pairs = _differences(own, reference, options, label)
+    pairs = _differences(own, reference, knowledge, label)
     differences = pairs.visits
-    _require_postures(differences, robot, options, label)
-    problem = _problem(differences, pairs.fixed, robot, options)
+    _require_postures(differences, robot, knowledge, label)
+    problem = _problem(differences, pairs.fixed, robot, knowledge)
     lost = losses(visits.difference_nm, visits.sum_nm)
-    nuisance = nuisance_of(visits, replace(options, bare=None), problem.nuisance.changes)
+    nuisance = nuisance_of(visits, replace(knowledge, bare=None), problem.nuisance.changes)
     nuisance = nuisance.with_bias(_friction_left(pairs, visits)).with_losses(*lost)
     problem = replace(problem, nuisance=nuisance, group=_groups(visits, problem))
     fitted = fit(problem, (), _noise(problem, visits))
     found = describe(
-        problem, fitted, robot, options, {DRIFT: _by_change(fitted, pairs.torque_nm, options.change)[None]}
+        problem, fitted, robot, knowledge, {DRIFT: _by_change(fitted, pairs.torque_nm, knowledge.change)[None]}
     )
     (load,) = found.loads
     # the change from one occasion to the other is not common to two measurements
@@ -168,10 +168,10 @@ def _by_change(fitted: Fit, torque_nm: Floats, factor: float) -> Floats:
     return np.einsum("aok,ab,bol->kl", by_axis, change_covariance(problem.axes, factor), by_axis)
 
 
-def _problem(differences: Visits, fixed: Floats, robot: Robot, options: EstimateOptions) -> RestProblem:
+def _problem(differences: Visits, fixed: Floats, robot: Robot, knowledge: Knowledge) -> RestProblem:
     """Build the problem of the differences: visits of an arm with massless links and known loads (n, 4)."""
-    own = replace(options.of_loads(differences.load), bare=None, known={})
-    problem = build_problem(robot, differences, own, GainChanges.none(gain_stds(options.gain_std, robot.axes)))
+    own = replace(knowledge.of_loads(differences.load), bare=None, known={})
+    problem = build_problem(robot, differences, own, GainChanges.none(gain_stds(knowledge.gain_std, robot.axes)))
     none = np.zeros_like(problem.links)
     return replace(problem, links=none, link_std=none + _GONE, fixed_load=fixed)
 
@@ -193,7 +193,7 @@ def _noise(problem: RestProblem, visits: Visits) -> Noise:
     return Noise(start, start.copy(), first.least)
 
 
-def _differences(own: Visits, reference: Visits, options: EstimateOptions, label: str) -> _Differences:
+def _differences(own: Visits, reference: Visits, knowledge: Knowledge, label: str) -> _Differences:
     """Subtract the readings under the known load from those under the load, pose by pose.
 
     Raises
@@ -207,9 +207,12 @@ def _differences(own: Visits, reference: Visits, options: EstimateOptions, label
         here = (reference.pose == pose) & (
             np.abs(reference.q_rad - mine.q_rad.mean(axis=0)).max(axis=1) < SAME_POSE_RAD
         )
+        known = {name: load_vector(load) for name, load in knowledge.known.items()}
         by_load = [
             _subtracted(
-                mine, reference.take(here & (reference.load == name)), load_vector(options.known.get(name, (0.0,) * 4))
+                mine,
+                reference.take(here & (reference.load == name)),
+                known.get(name, np.zeros(4)),
             )
             for name in np.unique(reference.load[here]).tolist()
         ]
@@ -289,7 +292,7 @@ def _mean_visit(visits: Visits) -> Visits:
     )  # fmt: skip
 
 
-def _require_postures(differences: Visits, robot: Robot, options: EstimateOptions, label: str) -> None:
+def _require_postures(differences: Visits, robot: Robot, knowledge: Knowledge, label: str) -> None:
     """Refuse poses whose gravity directions give rank 3."""
     if len(differences) < 2:
         raise DataUnusable(
@@ -297,7 +300,7 @@ def _require_postures(differences: Visits, robot: Robot, options: EstimateOption
             " gravity turns no axis, whatever the arm; measure two postures or more in which gravity comes from sides"
             " of the flange more than 30 degrees apart"
         )
-    angle = largest_angle_rad(gravity_in_last_link(robot, differences.q_rad, options.gravity_m_s2))
+    angle = largest_angle_rad(gravity_in_last_link(robot, differences.q_rad, knowledge.gravity_m_s2))
     if angle < LEAST_ANGLE_RAD:
         raise DataUnusable(
             f"load '{label}': in all {len(differences)} common postures gravity comes from nearly one side of the"

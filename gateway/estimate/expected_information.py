@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gateway.estimate.describe import axis_sigma
 from gateway.estimate.joint import refused_loads
-from gateway.estimate.options import EstimateOptions
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_AT_REST
 from gateway.identify.load_estimate import LoadEstimate, load_directions
 from gateway.identify.nuisance import BIAS_SHARE, change_covariance, gain_stds
@@ -174,7 +174,7 @@ class Stock:
     information: ExpectedInformation
 
 
-def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: Sought) -> Stock:
+def take_stock(visits: Visits, robot: Robot, knowledge: Knowledge, sought: Sought) -> Stock:
     """Estimate a load from these visits, with the covariance for predicting further poses.
 
     Parameters
@@ -182,7 +182,7 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
     visits : Visits
         Visits without outliers.
     robot : Robot
-    options : EstimateOptions
+    knowledge : Knowledge
     sought : Sought
 
     Raises
@@ -190,7 +190,7 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
     InputError, DataUnusable
         As of the joint estimator, except that a single posture of the load is accepted.
     """
-    problem = build_problem(robot, visits, options)
+    problem = build_problem(robot, visits, knowledge)
     fit = fit_without_effects(problem)
     wide = fit.null * _OPEN
     gain, offset = (problem.nuisance_part.start + KINDS.index(kind) * problem.axes for kind in ("gain", "bias"))
@@ -207,10 +207,10 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
         index = problem.labels.index(sought.label)
         first, moment = problem.load_part(index).start, fit.loads[index]
         estimated = load_estimates(problem, fit, robot)[index]
-        against = refused_loads(problem, fit, robot, options).get(sought.label)
+        against = refused_loads(problem, fit, robot, knowledge).get(sought.label)
         refused = None if against is None else against.refused
     else:
-        covariance[gains, gains] += change_covariance(problem.axes, options.change)
+        covariance[gains, gains] += change_covariance(problem.axes, knowledge.change)
         covariance, first = _with_unknown_load(covariance, sought.guess, robot)
         moment = sought.guess
     axis = np.flatnonzero(problem.use_sum.any(axis=0))
@@ -234,14 +234,14 @@ def _last(visits: Visits) -> int:
 
 
 def information_of_priors(
-    robot: Robot, options: EstimateOptions, guess: Floats, band_nm: Floats, noise: PoseNoise
+    robot: Robot, knowledge: Knowledge, guess: Floats, band_nm: Floats, noise: PoseNoise
 ) -> ExpectedInformation:
     """What is known of a load before any visit: the links by their priors or a stored bare identification.
 
     Parameters
     ----------
     robot : Robot
-    options : EstimateOptions
+    knowledge : Knowledge
     guess : array of shape (4,)
         Of the load's mass and first moment.
     band_nm : array of shape (N,)
@@ -250,20 +250,20 @@ def information_of_priors(
     """
     count, axes = PER_LINK_AT_REST * robot.axes, robot.axes
     gain, offset = count + np.arange(axes), count + axes + np.arange(axes)
-    links, link_std = open_link_prior(robot, options.inertials)
-    std = np.concatenate([link_std, gain_stds(options.gain_std, axes), BIAS_SHARE * band_nm])
+    links, link_std = open_link_prior(robot, knowledge.trust)
+    std = np.concatenate([link_std, gain_stds(knowledge.gain_std, axes), BIAS_SHARE * band_nm])
     information = np.diag(1.0 / std**2)
     gain_value = np.zeros(axes)
-    if options.bare is not None:
-        rows, _ = bare_rows(options.bare, options.change)
+    if knowledge.bare is not None:
+        rows, _ = bare_rows(knowledge.bare, knowledge.change)
         information += rows.T @ rows
-        if options.bare.gain:
-            gain_value = np.nan_to_num(np.asarray(options.bare.gain, dtype=float))
+        if knowledge.bare.gain:
+            gain_value = np.nan_to_num(np.asarray(knowledge.bare.gain, dtype=float))
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     size, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     turned = vectors / scale[:, None]
     covariance = (turned / np.maximum(size, _OPEN**-2)) @ turned.T
-    covariance[np.ix_(gain, gain)] += change_covariance(axes, options.change)
+    covariance[np.ix_(gain, gain)] += change_covariance(axes, knowledge.change)
     covariance, first = _with_unknown_load(covariance, guess, robot)
     axis = np.arange(axes)
     return ExpectedInformation(covariance, links, first, guess, axis, offset, gain, gain_value, noise)

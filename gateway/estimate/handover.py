@@ -11,8 +11,8 @@ from scipy.special import fdtrc
 
 from gateway.estimate.consistency import hull_radius_m, physical_findings
 from gateway.estimate.estimate import Estimate, FittedRows
-from gateway.estimate.options import EstimateOptions
 from gateway.estimate.recommendation import cost_of_missing_axes, wrist_in_words
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate, load_result, refused_findings
 from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, NUISANCE_STD, efficiency_of
 from gateway.identify.repeats import half_difference_scatter, negative_bands, repeated_std
@@ -37,7 +37,7 @@ _TORQUE_RESOLUTION = 2e-4
 
 
 def to_result(
-    estimate: Estimate, robot: Robot | None, options: EstimateOptions, provenance: Mapping[str, Any] | None = None
+    estimate: Estimate, robot: Robot | None, knowledge: Knowledge, provenance: Mapping[str, Any] | None = None
 ) -> Result:
     """Build the result file of an estimate.
 
@@ -46,7 +46,7 @@ def to_result(
     estimate : Estimate
     robot : Robot or None
         Source of the flange pose, the name, and the region in which the centre of mass is expected.
-    options : EstimateOptions
+    knowledge : Knowledge
     provenance : mapping, optional
         Where data and constants come from.
     """
@@ -68,7 +68,7 @@ def to_result(
         noise_floor_nm=_numbers(noise_floor_nm(estimate)),
         friction_band_nm=_numbers(estimate.band_nm),
         next=estimate.next,
-        findings=(*estimate.findings, *_findings(estimate, robot, options)),
+        findings=(*estimate.findings, *_findings(estimate, robot, knowledge)),
         nuisance=dict(estimate.nuisance),
         set_aside=estimate.set_aside,
         provenance=dict(provenance or {}),
@@ -84,7 +84,7 @@ def to_result(
     )
 
 
-def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions) -> list[Finding]:
+def _findings(estimate: Estimate, robot: Robot | None, knowledge: Knowledge) -> list[Finding]:
     out: list[Finding] = []
     for load in estimate.loads:
         if load.refused is not None:
@@ -94,9 +94,9 @@ def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions)
             out.append(Finding("warn", f"load {load.label}", _why_open(estimate, load), _what_to_do(estimate, robot)))
         out += no_body([load_result(load, robot)])
         if robot is not None:
-            out += physical_findings(load, robot.last_link, hull_radius_m(robot, options.hull_radius_m))
+            out += physical_findings(load, robot.last_link, hull_radius_m(robot))
     if estimate.rows is not None and estimate.method in ("joint", "difference", "posture"):
-        out += _missing_axes(estimate.rows, robot, estimate.sigma_nm, options)
+        out += _missing_axes(estimate.rows, robot, estimate.sigma_nm, knowledge)
         out += _one_sided(estimate) + _misfit(estimate) + reversed_signs(estimate.rows.band_nm)
     return out + _gear_losses(estimate)
 
@@ -201,12 +201,12 @@ def _what_to_do(estimate: Estimate, robot: Robot | None) -> str:
     return f"measure the unloaded arm too, give --bare or trusted --inertials{turn}"
 
 
-def _missing_axes(rows: FittedRows, robot: Robot | None, sigma: Floats, options: EstimateOptions) -> list[Finding]:
+def _missing_axes(rows: FittedRows, robot: Robot | None, sigma: Floats, knowledge: Knowledge) -> list[Finding]:
     measured = np.isfinite(rows.tau_nm).any(axis=0)
     if measured.all() or robot is None:
         return []
     names = ", ".join(f"J{k + 1}" for k in np.flatnonzero(~measured))
-    cost = cost_of_missing_axes(robot, rows.q_rad, np.where(measured, sigma, np.nan), options)
+    cost = cost_of_missing_axes(robot, rows.q_rad, np.where(measured, sigma, np.nan), knowledge)
     said = (
         "with them it could be"
         if np.isinf(cost)

@@ -11,9 +11,9 @@ from gateway.errors import DataUnusable
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import axis_sigma, describe
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.options import EstimateOptions
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies
 from gateway.identify.gravity_sign import reversed_gravity
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.mass_change import mass_changes
 from gateway.identify.model_conflict import ModelConflict
@@ -32,7 +32,7 @@ _LEAST_ROWS = 30
 
 
 def estimate_joint(
-    visits: Visits, robot: Robot, options: EstimateOptions, settled: SettledKnowledge | None = None
+    visits: Visits, robot: Robot, knowledge: Knowledge, settled: SettledKnowledge | None = None
 ) -> Estimate:
     """Estimate all unknown loads in one fit.
 
@@ -42,9 +42,9 @@ def estimate_joint(
     ----------
     visits : Visits
     robot : Robot
-    options : EstimateOptions
+    knowledge : Knowledge
     settled : SettledKnowledge, optional
-        Tested knowledge for these visits and options, if already computed.
+        Knowledge as tested against these visits, if already computed.
 
     Raises
     ------
@@ -53,42 +53,38 @@ def estimate_joint(
     DataUnusable
         Nothing measured, a load in one posture only (rank 3), or a mass that changes on the unloaded arm.
     """
-    for label in unknown_labels(visits.load, options.known):
+    for label in unknown_labels(visits.load, knowledge.known):
         require_postures(visits.q_rad[visits.load == label], label)
-    settled = settle(robot, visits, options) if settled is None else settled
+    settled = settle(robot, visits, knowledge) if settled is None else settled
     problem, fit = settled.stated
     refused = {
         label: refused_load(label, reason, per_pose_mass(problem, fit, problem.labels.index(label)))
         for label, reason in two_bodies(robot, visits, settled.knowledge).items()
     }
-    refused |= refused_loads(problem, fit, robot, options)
+    refused |= refused_loads(problem, fit, robot, knowledge)
     if not refused:
-        gravity = reversed_gravity(robot, *settled.stated, options)
+        gravity = reversed_gravity(robot, *settled.stated, knowledge)
         if settled.conflict is not None and not gravity:
-            return _without_loads(settled, settled.conflict, robot, options)
-        trusted = replace(options, inertials=settled.knowledge.inertials)
-        found = describe(settled.problem, settled.fit, robot, trusted, settled.spread)
+            return _without_loads(settled, settled.conflict, robot)
+        found = describe(settled.problem, settled.fit, robot, settled.knowledge, settled.spread)
         return replace(found, findings=(*found.findings, *settled.findings, *gravity))
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(refused[label] for label in problem.labels if label in refused)
     if not len(kept):
         unknown = np.full(visits.axes, np.nan)
         return Estimate(method="joint", loads=others, sigma_nm=unknown, band_nm=unknown)
-    rest = estimate_joint(kept, robot, options.of_loads(kept.load))
+    rest = estimate_joint(kept, robot, knowledge.of_loads(kept.load))
     return replace(rest, loads=(*rest.loads, *others))
 
 
-def _without_loads(
-    settled: SettledKnowledge, conflict: ModelConflict, robot: Robot, options: EstimateOptions
-) -> Estimate:
+def _without_loads(settled: SettledKnowledge, conflict: ModelConflict, robot: Robot) -> Estimate:
     """Return the estimate of data that contradict the robot model: every load is refused with the reason."""
-    trusted = replace(options, inertials=settled.knowledge.inertials)
-    found = describe(settled.problem, settled.fit, robot, trusted, settled.spread)
+    found = describe(settled.problem, settled.fit, robot, settled.knowledge, settled.spread)
     loads = tuple(refused_load(load.label, conflict.reason) for load in found.loads)
     return replace(found, loads=loads, findings=(*found.findings, *settled.findings, conflict.finding), bare=None)
 
 
-def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:
+def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> dict[str, LoadEstimate]:
     """Return the loads by label whose data contradict each other, each with the reason.
 
     Where the visits of the unloaded arm or of a known load contradict each other, these and all loads are listed: each
@@ -105,13 +101,14 @@ def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, options: Estimat
         raise DataUnusable(f"load '{base[0]}': {changed[base[0]]}")
     out = {label: refused_load(label, changed[label]) for label in base}
     for index, label in enumerate(problem.labels):
-        reason = changed[base[0]] if base else changed.get(label) or _contradiction(problem, fit, robot, options, label)
+        reason = changed[base[0]] if base else changed.get(label)
+        reason = reason or _contradiction(problem, fit, robot, knowledge, label)
         if reason is not None:
             out[label] = refused_load(label, reason, per_pose_mass(problem, fit, index))
     return out
 
 
-def _contradiction(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
+def _contradiction(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge, label: str) -> str | None:
     """Return why the rows of a load do not fit one rigid body, judged by the noise of the other rows; else None."""
     masses = per_pose_mass(problem, fit, problem.labels.index(label))
     if not disagree(list(masses.values())):
@@ -120,7 +117,7 @@ def _contradiction(problem: RestProblem, fit: Fit, robot: Robot, options: Estima
     kept = visits.take(visits.load != label)
     if np.isfinite(kept.sum_nm).sum() < _LEAST_ROWS:
         return None
-    others = build_problem(robot, kept, options.of_loads(kept.load))
+    others = build_problem(robot, kept, knowledge.of_loads(kept.load))
     sigma = axis_sigma(others, fit_without_effects(others))
     rows = int(problem.use_sum.sum())
     axis = problem.axis[:rows]

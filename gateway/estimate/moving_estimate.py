@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gateway.data.rows import Table
 from gateway.estimate.describe import fitted_rows as rest_rows
 from gateway.estimate.estimate import Estimate, FittedRows
-from gateway.estimate.options import EstimateOptions
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.columns import MovingSetup
 from gateway.identify.motion.moving_fit import MotionFit, fit_motion
 from gateway.identify.motion.moving_results import axis_motions, loads_of, nuisances
@@ -32,7 +32,7 @@ _REPORTED_DELAY_S = 0.02
 def estimate_moving(
     table: Table,
     robot: Robot,
-    options: EstimateOptions,
+    knowledge: Knowledge,
     motion: MovingSetup | None = None,
     rest: FittedRest | None = None,
 ) -> Estimate:
@@ -42,7 +42,7 @@ def estimate_moving(
     ----------
     table : Table
     robot : Robot
-    options : EstimateOptions
+    knowledge : Knowledge
         Inertials, known loads, gravity.
     motion : MovingSetup, optional
     rest : Fitted, optional
@@ -52,8 +52,8 @@ def estimate_moving(
     ------
     InputError, DataUnusable : as of `fit_motion`
     """
-    moving = behind_gears(table.take(table.moving), options.efficiency, options.coupling)
-    found = fit_motion(moving, robot, options, motion or MovingSetup(), rest)
+    moving = behind_gears(table.take(table.moving), knowledge.efficiency, knowledge.coupling)
+    found = fit_motion(moving, robot, knowledge, motion or MovingSetup(), rest)
     loads, periods = loads_of(found, robot), found.periods
     if found.fit is None:
         blank = np.full(moving.axes, np.nan)

@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.describe import LOAD_NAMES, describe
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.options import EstimateOptions
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.prior_loads import BARE_LABEL, require_postures, unknown_labels
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
@@ -37,14 +37,14 @@ _SUSPICIOUS = 0.0027
 _BLURRED = 1e-6
 
 
-def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
+def estimate_posture(visits: Visits, robot: Robot, knowledge: Knowledge) -> Estimate:
     """Estimate each load from its own postures and the parameters of the unloaded arm.
 
     Parameters
     ----------
     visits : Visits
     robot : Robot
-    options : EstimateOptions
+    knowledge : Knowledge
         `bare`, or trusted inertials, unless the data contain rows of the unloaded arm.
 
     Raises
@@ -54,14 +54,14 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
     DataUnusable
         The parameters of the unloaded arm are unknown, no load in the data, or one posture only.
     """
-    labels = unknown_labels(visits.load, options.known)
+    labels = unknown_labels(visits.load, knowledge.known)
     if not labels:
         raise DataUnusable("every load in the data is known: there is nothing to estimate")
     for label in labels:
         require_postures(visits.q_rad[visits.load == label], label)
-    base = rest_base(robot, options.gravity_m_s2)
-    bare = _bare(visits, robot, options, base, labels)
-    alone = replace(options, inertials="ignore", bare=None)
+    base = rest_base(robot, knowledge.gravity_m_s2)
+    bare = _bare(visits, robot, knowledge, base, labels)
+    alone = replace(knowledge, link_std=np.inf, bare=None)
     parts = []
     for label in labels:
         own = visits.take(visits.load == label)
@@ -79,19 +79,19 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
     )
 
 
-def _described(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
+def _described(visits: Visits, robot: Robot, knowledge: Knowledge) -> Estimate:
     """Return the joint estimate of these visits."""
-    problem = build_problem(robot, visits, options)
-    return describe(problem, fit_without_effects(problem), robot, options)
+    problem = build_problem(robot, visits, knowledge)
+    return describe(problem, fit_without_effects(problem), robot, knowledge)
 
 
-def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet, labels: tuple[str, ...]) -> Bare:
+def _bare(visits: Visits, robot: Robot, knowledge: Knowledge, base: BaseSet, labels: tuple[str, ...]) -> Bare:
     """Return the parameters of the unloaded arm: stored, from its rows in the data, or from trusted inertials."""
-    if options.bare is not None:
-        refuse_other_bare(options.bare, robot, options.gravity_m_s2)
-        return options.bare
+    if knowledge.bare is not None:
+        refuse_other_bare(knowledge.bare, robot, knowledge.gravity_m_s2)
+        return knowledge.bare
     if (visits.load == BARE_LABEL).any():
-        reported = replace(options, known={}, masses={})
+        reported = replace(knowledge, known={}, masses={})
         found = _described(visits.take(visits.load == BARE_LABEL), robot, reported).bare
         if found is not None:
             return found
@@ -100,7 +100,7 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
             "more postures without load that move axes 2"
             f" to {robot.axes}, or use --method joint, which needs no complete set"
         )
-    mean, std = link_prior(robot, options.trust, PER_LINK_AT_REST)
+    mean, std = link_prior(robot, knowledge.trust, PER_LINK_AT_REST)
     if np.isinf(std).any():
         lumped = [name for name in base.names if f"_{robot.axes}" in name]
         raise DataUnusable(
@@ -112,13 +112,13 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
             " trusted (--inertials)"
         )
     std = np.maximum(std, _BLURRED)
-    return _bare_from(robot, options, base, base.combination @ mean, (base.combination * std**2) @ base.combination.T)
+    return _bare_from(robot, knowledge, base, base.combination @ mean, (base.combination * std**2) @ base.combination.T)
 
 
-def _bare_from(robot: Robot, options: EstimateOptions, base: BaseSet, value: Floats, covariance: Floats) -> Bare:
+def _bare_from(robot: Robot, knowledge: Knowledge, base: BaseSet, value: Floats, covariance: Floats) -> Bare:
     return Bare(
         robot=robot.name,
-        gravity_m_s2=tuple(float(g) for g in options.gravity_m_s2),
+        gravity_m_s2=tuple(float(g) for g in knowledge.gravity_m_s2),
         columns=tuple(base.indices.tolist()),
         names=base.names,
         value=tuple(value.tolist()),
@@ -159,7 +159,7 @@ def _same_span(first: Floats, second: Floats) -> bool:
     return np.allclose(rows, rows @ basis.T @ basis, atol=1e-4)
 
 
-def _check(own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, label: str) -> tuple[Finding, ...]:
+def _check(own: Visits, robot: Robot, alone: Knowledge, bare: Bare, label: str) -> tuple[Finding, ...]:
     """Report a difference from the unloaded arm that is not a rigid body on the flange."""
     loaded = build_problem(robot, replace(own, load=np.full(len(own), BARE_LABEL)), replace(alone, known={}, masses={}))
     fit = fit_without_effects(loaded)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.options import EstimateOptions
 from gateway.identify.budget import CABLE, CONSTANTS, DRIFT, FRICTION, LINKS, ZEROS
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.information import payload_information
 from gateway.model.robot import Robot
@@ -19,7 +19,9 @@ _SEED = 7
 _UNKNOWN_KG = 1e3
 
 
-def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: EstimateOptions) -> NextMeasurement | None:
+def next_pose(
+    load: LoadEstimate, robot: Robot, sigma_nm: Floats, knowledge: Knowledge, pose_choice: Floats | None = None
+) -> NextMeasurement | None:
     """Return the rest pose that reduces a load's uncertainty most if measured with and without it.
 
     The pose is D-optimal among random postures. The uncertainty from the torque constants and their drift is equal at
@@ -29,10 +31,12 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
     ----------
     load : LoadEstimate
     robot : Robot
-        Its joint limits bound the random postures; used if the options list no postures.
+        Its joint limits bound the random postures; used without `pose_choice`.
     sigma_nm : array of shape (N,)
         Noise floor per axis, NaN = not measured.
-    options : EstimateOptions
+    knowledge : Knowledge
+    pose_choice : array of shape (k, N), optional
+        Poses that may be recommended [rad].
 
     Returns
     -------
@@ -41,10 +45,10 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
     """
     stays = load.budget.get(CONSTANTS, 0.0) + load.budget.get(DRIFT, 0.0)
     now = _with_unknown(load, 1.0 - stays)
-    q = candidates(robot) if options.pose_choice is None else options.pose_choice
+    q = candidates(robot) if pose_choice is None else pose_choice
     if now is None or not np.isfinite(sigma_nm).any() or not len(q):
         return None
-    gain = payload_information(robot, q, sigma_nm, options.gravity_m_s2)
+    gain = payload_information(robot, q, sigma_nm, knowledge.gravity_m_s2)
     size = np.sqrt(np.diag(now))
     before = np.linalg.inv(now / np.outer(size, size))
     after = before + gain * np.outer(size, size)
@@ -129,14 +133,14 @@ def wrist_in_words(robot: Robot) -> str:
     return f"axis {first}" if first == robot.axes else f"axes {first} to {robot.axes}"
 
 
-def cost_of_missing_axes(robot: Robot, q_rad: Floats, sigma_nm: Floats, options: EstimateOptions) -> float:
+def cost_of_missing_axes(robot: Robot, q_rad: Floats, sigma_nm: Floats, knowledge: Knowledge) -> float:
     """Return the present standard deviation of the mass over that with all axes measured.
 
     Infinite if the mass is undetermined now. Unmeasured axes are assumed to have the median noise of the others.
     """
     full = np.where(np.isfinite(sigma_nm), sigma_nm, np.nanmedian(sigma_nm))
     now, then = (
-        payload_information(robot, q_rad, sigma, options.gravity_m_s2).sum(axis=0) for sigma in (sigma_nm, full)
+        payload_information(robot, q_rad, sigma, knowledge.gravity_m_s2).sum(axis=0) for sigma in (sigma_nm, full)
     )
     return float(np.sqrt(_mass_variance(now) / _mass_variance(then)))
 

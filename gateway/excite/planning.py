@@ -28,7 +28,6 @@ from gateway.excite.series_choice import SeriesTask, best_random, optimised
 from gateway.excite.sweep_choice import chosen_sweeps
 from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.feedforward.load import FeedLoad, assumed_load
-from gateway.identify.links import parse_inertials
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
 from gateway.motion.joint_path import angles
@@ -168,14 +167,13 @@ def _asked(
     """Return the requested quantities, each purpose once, in the order of `PURPOSES`."""
     carried = links_with_loads(workspace, config, ())
     links = None if carried is None else carried[:, 0]
-    trust = parse_inertials(config.inertials)
     found: dict[Purpose, AskedNumbers] = {}
     if "load" in purposes:
         found["load"] = LoadAsked(workspace, noise, load, links)
     if "friction" in purposes:
-        found["friction"] = DriveTrainAsked.of(workspace, noise, "friction", links, trust)
+        found["friction"] = DriveTrainAsked.of(workspace, noise, "friction", links, config.link_std)
     if "rotor" in purposes:
-        found["rotor"] = DriveTrainAsked.of(workspace, noise, "rotor", links, trust)
+        found["rotor"] = DriveTrainAsked.of(workspace, noise, "rotor", links, config.link_std)
     return found
 
 

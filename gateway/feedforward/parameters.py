@@ -24,7 +24,7 @@ def drawn_parameters(robot: Robot, arm: ArmConfig) -> Floats:
     ConfigError
         Mass, centre of mass or inertia of a link is missing, or inertials = "ignore". No value is assumed to be zero.
     """
-    if arm.inertials == "ignore":
+    if np.isinf(arm.link_std):
         raise ConfigError(
             f"arm '{arm.name}': inertials = \"ignore\" makes the links unknown, but feedforward needs them; give "
             'inertials = "prior:0.05" if the robot model holds plausible ones'

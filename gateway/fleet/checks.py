@@ -16,7 +16,7 @@ from gateway.errors import DataUnusable, InputError
 from gateway.estimate import run
 from gateway.fleet.columns import ESTIMATE, RECORDING, RESULT, TEMPERATURE, axis_columns
 from gateway.fleet.identity import RobotName, moment, robot_name
-from gateway.pipeline.inputs import ModelRequest, estimate_options, inputs_from_recordings, read_rows
+from gateway.pipeline.inputs import ModelRequest, inputs_from_recordings, read_rows
 from gateway.result.origin import drives_of, file_sha256, software
 from gateway.result.result import LoadResult, NuisanceResult, Outcome, Result, read_result
 from gateway.result.values import plain_values
@@ -123,7 +123,7 @@ def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
         try:
             about = inputs_from_recordings(ModelRequest(arm=arm.name), (recording,))
             table = read_rows([path], about)
-            reported |= numbers_of(run(table, about.model, estimate_options(about)), about.gain_std)
+            reported |= numbers_of(run(table, about.model, about.knowledge), about.knowledge.gain_std)
             reported[TEMPERATURE] = table.temperature_c.mean(axis=0).tolist()
         except (DataUnusable, InputError) as error:
             reported["failing"] = [f"cannot be estimated: {error}"]

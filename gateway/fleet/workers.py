@@ -40,12 +40,6 @@ class Spreading(Protocol):
     ) -> Iterator[tuple[Item, Done | GatewayError]]: ...
 
 
-def one_by_one(function: Callable[[Item], Done], items: Iterable[Item]) -> Iterator[tuple[Item, Done | GatewayError]]:
-    """Apply the function in this process."""
-    for item in items:
-        yield item, _guarded(function, item)
-
-
 @contextmanager
 def workers(
     scheduler: str | None, count: int | None = None, security: Certificates | None = None
@@ -163,7 +157,7 @@ class _Dask:
 
         def hand_out() -> None:
             for item in waiting:
-                future = self._client.submit(_guarded, function, item, pure=False)
+                future = self._client.submit(guarded, function, item, pure=False)
                 items_of[future.key] = item
                 finished.add(future)
                 return
@@ -189,7 +183,7 @@ class _Dask:
         )
 
 
-def _guarded(function: Callable[[Item], Done], item: Item) -> Done | GatewayError:
+def guarded(function: Callable[[Item], Done], item: Item) -> Done | GatewayError:
     """Return an error of the data as a result; other exceptions are defects and propagate."""
     try:
         return function(item)

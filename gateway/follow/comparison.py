@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from gateway.feedforward.identified import notes_of
 from gateway.feedforward.load import FRAME, FeedLoad
-from gateway.follow.job import Comparison
+from gateway.follow.job import Prepared
 from gateway.follow.settings import FeedModel
 from gateway.follow.track import Track, following
-from gateway.follow.trend import Trend
+from gateway.follow.trend import Trend, load_trend
 from gateway.result.follow import (
     IDENTIFIED,
     MAXIMUM,
@@ -46,11 +46,14 @@ WORSE_RAD = 2e-5
 DRAWN_AXES = 2
 
 
-def result_of(job: Comparison) -> FollowResult:
-    """Return a comparison as a result."""
-    prepared, path = job.prepared, job.prepared.path
+def result_of(prepared: Prepared, tracks: Sequence[Track]) -> FollowResult:
+    """Return a comparison as a result; `tracks` are the recorded passes, one per setting."""
+    path, trend = prepared.path, None
+    for setting, track in zip(prepared.settings, tracks, strict=True):
+        if setting.name == IDENTIFIED and setting.load is not None:
+            trend = load_trend(track, prepared.model, setting.load)
     loads = {setting.name: None if setting.load is None else _load(setting.load) for setting in prepared.settings}
-    settings = tuple(following(track, loads[track.setting]) for track in job.tracks)
+    settings = tuple(following(track, loads[track.setting]) for track in tracks)
     peak = {setting.name: np.array(setting.peak_rad) for setting in settings}
     return FollowResult(
         robot=prepared.model.robot.name,
@@ -59,12 +62,12 @@ def result_of(job: Comparison) -> FollowResult:
         path=FollowedPath(path.name, prepared.path_file, path.duration_s, path.period_s),
         settings=settings,
         ratio=_ratio(peak),
-        trend=None if job.trend is None else job.trend.values,
+        trend=None if trend is None else trend.values,
         model=FedModel(prepared.model.links_source, prepared.model.sources),
-        computing_s=_computing(job.tracks),
-        left_out_syncs=_left_out(job.tracks),
-        findings=findings(job, peak),
-        series=_series(job),
+        computing_s=_computing(tracks),
+        left_out_syncs=_left_out(tracks),
+        findings=findings(prepared, tracks, trend, peak),
+        series=_series(tracks, trend),
     )
 
 
@@ -98,11 +101,13 @@ def _left_out(tracks: Sequence[Track]) -> int:
     return sum(int(np.isnan(track.measured_rad).any(axis=1).sum()) for track in tracks)
 
 
-def findings(job: Comparison, peak: Mapping[str, Floats]) -> tuple[Finding, ...]:
+def findings(
+    prepared: Prepared, tracks: Sequence[Track], trend: Trend | None, peak: Mapping[str, Floats]
+) -> tuple[Finding, ...]:
     """Return the findings, the worst first; `peak` (6,) error of each setting [rad]."""
-    found = [*_load_finding(job), *_worse(peak), *_missing(job.prepared.model)]
-    if left := _left_out(job.tracks):
-        total = sum(len(track.target_rad) for track in job.tracks)
+    found = [*_load_finding(prepared, trend), *_worse(peak), *_missing(prepared.model)]
+    if left := _left_out(tracks):
+        total = sum(len(track.target_rad) for track in tracks)
         found.append(
             Finding(
                 "info",
@@ -114,24 +119,24 @@ def findings(job: Comparison, peak: Mapping[str, Floats]) -> tuple[Finding, ...]
     return tuple(sorted(found, key=lambda item: order.index(item.severity)))
 
 
-def _load_finding(job: Comparison) -> list[Finding]:
-    fed = next((setting.load for setting in job.prepared.settings if setting.name == IDENTIFIED), None)
+def _load_finding(prepared: Prepared, trend: Trend | None) -> list[Finding]:
+    fed = next((setting.load for setting in prepared.settings if setting.name == IDENTIFIED), None)
     if fed is None:
         return []
     where = f"load {fed.label}"
-    if job.trend is None or not math.isfinite(job.trend.values.scale_std):
+    if trend is None or not math.isfinite(trend.values.scale_std):
         what = "the path moves too little to check the load by the torque"
         return [Finding("warn", where, what, "follow a longer path that lifts and lowers the load")]
-    trend = job.trend.values
-    asked = (1.0 + trend.scale) * fed.mass_kg
+    scale, scale_std = trend.values.scale, trend.values.scale_std
+    asked = (1.0 + scale) * fed.mass_kg
     said = (
-        f"{with_interval(trend.scale, trend.scale_std, 100)} % of its torque ({SAID}) remains in the residual: the"
+        f"{with_interval(scale, scale_std, 100)} % of its torque ({SAID}) remains in the residual: the"
         f" torque corresponds to {asked:.2f} kg, the feedforward used {fed.mass_kg:.2f} kg"
     )
-    proven = abs(trend.scale) > SIGMAS * trend.scale_std
-    if not proven or abs(trend.scale) < NOTED_SHARE:
+    proven = abs(scale) > SIGMAS * scale_std
+    if not proven or abs(scale) < NOTED_SHARE:
         return [Finding("info", where, f"the torque agrees with the load in the feedforward ({said})")]
-    severity = "fail" if abs(trend.scale) >= FAILED_SHARE else "warn"
+    severity = "fail" if abs(scale) >= FAILED_SHARE else "warn"
     advice = "the mounted load is not the identified one: identify it again, or mount the identified load"
     return [Finding(severity, where, said, advice)]
 
@@ -174,20 +179,20 @@ def _missing(model: FeedModel) -> list[Finding]:
 # -- curves ------------------------------------------------------------------------------------------------------------
 
 
-def _series(job: Comparison) -> FollowSeries:
+def _series(tracks: Sequence[Track], trend: Trend | None) -> FollowSeries:
     curves = {}
-    for track in job.tracks:
+    for track in tracks:
         chosen = _chosen(track)
         curves[track.setting] = ErrorCurve(numbers(track.time_s[chosen]), matrix(track.error_rad[chosen].T))
-    fed = next((track for track in job.tracks if track.setting == IDENTIFIED), None)
-    if fed is None or job.trend is None:
+    fed = next((track for track in tracks if track.setting == IDENTIFIED), None)
+    if fed is None or trend is None:
         return FollowSeries(curves)
-    weight = np.nan_to_num(np.abs(job.trend.load_nm)).max(axis=0)
+    weight = np.nan_to_num(np.abs(trend.load_nm)).max(axis=0)
     axes = np.sort(np.argsort(weight)[-DRAWN_AXES:]).tolist()
     return FollowSeries(
         curves,
         tuple(_torque_curve(fed, axis) for axis in axes),
-        tuple(_cloud(job.trend, axis) for axis in axes),
+        tuple(_cloud(trend, axis) for axis in axes),
     )
 
 

@@ -1,4 +1,4 @@
-"""Job of `servo-gateway follow`: read and check the files, drive the path, compare."""
+"""Prepare `servo-gateway follow`: read and check the files."""
 
 from __future__ import annotations
 
@@ -10,36 +10,12 @@ from gateway.errors import DataUnusable
 from gateway.feedforward.identified import checked, read_identified
 from gateway.feedforward.load import FeedLoad, check_origin, identified_load
 from gateway.follow.path import FollowPath, check_path, read_path
-from gateway.follow.path_run import Progress, follow
 from gateway.follow.settings import FeedModel, Setting, check_offsets, feed_model, three_settings
-from gateway.follow.track import Track
-from gateway.follow.trend import Trend, load_trend
 from gateway.model.arm_model import arm_robot
 from gateway.model.load_bounds import load_bounds
-from gateway.motion.opening import OpenArm, axis_setups
-from gateway.motion.stream import MoveOptions
+from gateway.motion.opening import axis_setups
 from gateway.motion.workspace import Workspace, workspace_of
-from gateway.result.follow import IDENTIFIED
 from gateway.result.result import Result, read_result
-
-
-@dataclass(frozen=True, slots=True)
-class FollowRequest:
-    """Path to follow, and the load in the feedforward.
-
-    Attributes
-    ----------
-    path : Path
-        TOML or CSV, see `gateway.follow.path`.
-    load : Path or None
-        Result JSON of `estimate`, `diagnose` or `commission`.
-    label : str or None
-        Label of the load in the result.
-    """
-
-    path: Path
-    load: Path | None
-    label: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,17 +47,21 @@ class Prepared:
         return len(self.settings) * self.path.duration_s
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """Recorded passes; `tracks` correspond to the settings one by one."""
-
-    prepared: Prepared
-    tracks: tuple[Track, ...]
-    trend: Trend | None
-
-
-def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepared:
+def prepare(
+    loaded: LoadedCell, arm: ArmConfig, path_file: Path, load_file: Path | None, label: str | None = None
+) -> Prepared:
     """Read and check path, load, cell and profiles; no bus is opened and nothing moves.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    arm : ArmConfig
+    path_file : Path
+        TOML or CSV, see `gateway.follow.path`.
+    load_file : Path or None
+        Result JSON of `estimate`, `diagnose` or `commission`.
+    label : str, optional
+        Label of the load in the result.
 
     Raises
     ------
@@ -94,13 +74,13 @@ def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepa
     PlanRefused
         The path leaves the workspace, or an offset reaches its limit.
     """
-    _, load, model = loaded_model(loaded, arm, request.load, request.label)
+    _, load, model = loaded_model(loaded, arm, load_file, label)
     settings = three_settings(arm, model, load)
     workspace = workspace_of(arm, model.robot)
-    path = read_path(request.path, workspace, loaded.cell.bus[arm.bus].sync_period_s)
+    path = read_path(path_file, workspace, loaded.cell.bus[arm.bus].sync_period_s)
     check_path(path, workspace)
     check_offsets(path, settings, arm.name)
-    return Prepared(loaded, arm, workspace, path, str(request.path), model, settings)
+    return Prepared(loaded, arm, workspace, path, str(path_file), model, settings)
 
 
 def loaded_model(
@@ -121,27 +101,3 @@ def loaded_model(
     if identified is None and result.motion:
         identified = checked(result, where, robot.axes)
     return result, load, feed_model(arm, robot, profiles, result, identified, fed=fed)
-
-
-def drive(opened: OpenArm, prepared: Prepared, progress: Progress, options: MoveOptions | None = None) -> Comparison:
-    """Drive the path with every setting and compare.
-
-    Raises
-    ------
-    PlanRefused, LimitExceeded, DriveError, KeyboardInterrupt
-        As `gateway.follow.path_run.follow`.
-    """
-    tracks = follow(
-        opened.arm,
-        prepared.workspace,
-        prepared.path,
-        prepared.settings,
-        progress,
-        options,
-        opened.group.timing.pacing,
-    )
-    trend = None
-    for setting, track in zip(prepared.settings, tracks, strict=True):
-        if setting.name == IDENTIFIED and setting.load is not None:
-            trend = load_trend(track, prepared.model, setting.load)
-    return Comparison(prepared, tracks, trend)

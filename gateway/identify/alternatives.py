@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.budget import CABLE, CONSTANTS, DRIFT, LINKS, ZEROS
-from gateway.identify.links import parse_inertials
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.nuisance import gain_stds
 from gateway.identify.rest.linear import Fit, RestProblem, term_columns
 from gateway.identify.rest.linearised import LinearisedFit
-from gateway.identify.rest.problem import Knowledge, nuisance_of, open_link_prior
+from gateway.identify.rest.problem import nuisance_of, open_link_prior
 from gateway.model.effects.joint_zero_offset import JointZeroOffset
 from gateway.model.robot import Robot, link_lengths_m
 
@@ -40,15 +40,15 @@ _CABLES: Final = (0.01, 0.04)
 PRIOR_ODDS: Final = 0.1
 
 
-def wider_links(inertials: str) -> list[float]:
+def wider_links(trust: float) -> list[float]:
     """Return the relative standard deviations of link masses that are tried beside the stated one."""
-    return [wider for wider in LINK_SPREADS if wider > 1.5 * parse_inertials(inertials)]
+    return [wider for wider in LINK_SPREADS if wider > 1.5 * trust]
 
 
 def wider_statements(robot: Robot, knowledge: Knowledge) -> Iterator[Knowledge]:
     """Return copies of the knowledge in which one group of statements has a wider prior."""
-    for wider in wider_links(knowledge.inertials):
-        yield replace(knowledge, inertials=f"prior:{wider:g}")
+    for wider in wider_links(knowledge.trust):
+        yield replace(knowledge, link_std=wider)
     std = gain_stds(knowledge.gain_std, robot.axes)
     for wider in _GAINS:
         if wider > 1.5 * float(np.median(std)):
@@ -61,7 +61,7 @@ def wider_statements(robot: Robot, knowledge: Knowledge) -> Iterator[Knowledge]:
 def wider_std(problem: RestProblem, robot: Robot, knowledge: Knowledge) -> Floats:
     """Return the prior standard deviations (p,) that a problem would have with this knowledge."""
     nuisance = nuisance_of(problem.rows, knowledge, replace(problem.nuisance.changes, factor=knowledge.change))
-    _, link_std = open_link_prior(robot, knowledge.inertials)
+    _, link_std = open_link_prior(robot, knowledge.trust)
     return replace(problem, link_std=link_std, nuisance=nuisance).common_std
 
 
@@ -71,15 +71,9 @@ def spread_of_loads(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Kno
     line = LinearisedFit.of(problem, fit, np.hstack([zeros, cable]))
     std, none = problem.common_std, np.zeros(zeros.shape[1] + cable.shape[1])
     stated = line.tried(std)
-    tried = [(LINKS, line.tried(std, LINK_SCALE))] if np.isfinite(parse_inertials(knowledge.inertials)) else []
+    tried = [(LINKS, line.tried(std, LINK_SCALE))] if np.isfinite(knowledge.trust) else []
     for other in wider_statements(robot, knowledge):
-        source = (
-            LINKS
-            if other.inertials != knowledge.inertials
-            else DRIFT
-            if other.change != knowledge.change
-            else CONSTANTS
-        )
+        source = LINKS if other.trust != knowledge.trust else DRIFT if other.change != knowledge.change else CONSTANTS
         tried.append((source, line.tried(wider_std(problem, robot, other))))
     own = np.arange(len(none)) < zeros.shape[1]
     tried += [(ZEROS, line.tried(std, 0.0, np.where(own, size, 0.0))) for size in _ZEROS_RAD]

@@ -25,14 +25,14 @@ from gateway.identify.alternatives import (
     wider_statements,
     wider_std,
 )
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.known_load import least_supported, load_contradicted
-from gateway.identify.links import parse_inertials
 from gateway.identify.model_conflict import ModelConflict, model_conflict
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
-from gateway.identify.rest.problem import Knowledge, build_problem, open_link_prior
+from gateway.identify.rest.problem import build_problem, open_link_prior
 from gateway.identify.rest.rest_loads import well_determined
 from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.model.placeholders import mass_placeholder
@@ -98,7 +98,7 @@ def settle(
         settled, problem, fit = wider, other, refitted
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
     spread = spread_of_loads(robot, problem, fit, settled)
-    contradicted = settled.inertials != trusted.inertials or settled.gain_std != trusted.gain_std
+    contradicted = settled.trust != trusted.trust or settled.gain_std != trusted.gain_std
     large = model_conflict(robot, *stated, trusted) if contradicted else None
     return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread, log_odds, large)
 
@@ -126,20 +126,20 @@ def _wider_knowledge(
     if freed is not None and odds > max(best, link_odds):
         return freed, odds
     if link_odds > best:
-        wider = "ignore" if _unloaded(problem, knowledge) else f"prior:{LINK_SCALE:g}"
-        return replace(knowledge, inertials=wider), link_odds
+        wider = np.inf if _unloaded(problem, knowledge) else LINK_SCALE
+        return replace(knowledge, link_std=wider), link_odds
     if found is None:
         return None, 0.0
     weighed = knowledge.known or knowledge.masses
     if (
         found.gain_std != knowledge.gain_std
-        and knowledge.inertials != "ignore"
+        and np.isfinite(knowledge.trust)
         and not weighed
         and _unloaded(problem, knowledge)
     ):
         # constants and links contradict each other, and the rows cannot decide which are wrong: the arm is measured, so
         # the statement on the links is not needed
-        return replace(knowledge, inertials="ignore"), best
+        return replace(knowledge, link_std=np.inf), best
     return dropped(knowledge, found), best
 
 
@@ -151,11 +151,11 @@ def _unloaded(problem: RestProblem, knowledge: Knowledge) -> bool:
 def without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, tuple[Finding, ...]]:
     """Return the knowledge without placeholder link masses of an exporter, and the findings on them."""
     why, advice = mass_placeholder(robot), "state the masses of the data sheet in the URDF"
-    if knowledge.inertials == "ignore":
+    if np.isinf(knowledge.trust):
         return knowledge, ()
     if why:
         finding = Finding("warn", "link masses", f"{why}: a placeholder, not used", advice, "link_masses_placeholder")
-        return replace(knowledge, inertials="ignore"), (finding,)
+        return replace(knowledge, link_std=np.inf), (finding,)
     weightless = ", ".join(f"J{axis + 1}" for axis in np.flatnonzero(robot.mass_kg <= 0))
     what = "the URDF states no mass above 0 kg for the link of this axis: its mass is taken as unknown"
     return knowledge, (Finding("info", weightless, what, advice, "link_mass_missing"),) if weightless else ()
@@ -165,9 +165,8 @@ def dropped(stated: Knowledge, wider: Knowledge) -> Knowledge:
     """Return the wider knowledge, with links ignored if they need more than three times their stated standard
     deviation.
     """
-    trust, needed = parse_inertials(stated.inertials), parse_inertials(wider.inertials)
-    if needed > CONFLICT.dropped * max(trust, LINK_SPREADS[0]):
-        return replace(wider, inertials="ignore")
+    if wider.trust > CONFLICT.dropped * max(stated.trust, LINK_SPREADS[0]):
+        return replace(wider, link_std=np.inf)
     return wider
 
 
@@ -180,7 +179,7 @@ def _contradicted(
     for label in stated.weighed:
         if label not in settled.weighed:
             yield load_contradicted(robot, problem, fit, stated, label)
-    if settled.inertials != stated.inertials:
+    if settled.trust != stated.trust:
         yield _links_contradicted(robot, problem, fit, stated, settled)
     if settled.gain_std != stated.gain_std:
         yield _gains_contradicted(problem, fit, gain_stds(stated.gain_std, robot.axes))
@@ -192,7 +191,7 @@ def _links_contradicted(
     robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge
 ) -> tuple[float, Finding]:
     """Report the axis on which the torque of the unloaded arm differs most from the torque of the URDF's masses."""
-    mean, _ = open_link_prior(robot, stated.inertials)
+    mean, _ = open_link_prior(robot, stated.trust)
     rows, own = problem.model.nominal, problem.link_part
     expected = rows @ mean
     visit = np.abs(np.where(problem.use_sum, expected, 0.0)).argmax(axis=0)
@@ -204,14 +203,13 @@ def _links_contradicted(
     axis = int(np.argmax(away))
     where = f"at pose {int(problem.rows.pose[visit[axis]])}"
     return float(away[axis]), links_finding(
-        axis, (float(at[axis] @ mean), float(measured[axis]), float(std[axis])), where, settled.inertials
+        axis, (float(at[axis] @ mean), float(measured[axis]), float(std[axis])), where, settled.trust
     )
 
 
-def links_finding(axis: int, torque_nm: tuple[float, float, float], where: str, inertials: str) -> Finding:
+def links_finding(axis: int, torque_nm: tuple[float, float, float], where: str, trust: float) -> Finding:
     """Report link masses that are contradicted, by the torque of an axis: expected, measured, standard deviation."""
     expected, measured, std = torque_nm
-    trust = parse_inertials(inertials)
     use = "they are not used" if np.isinf(trust) else f"they are trusted to {100 * trust:.0f} %"
     return Finding(
         "warn",

@@ -7,11 +7,12 @@ from typing import Final
 
 import numpy as np
 
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import negative_mass
 from gateway.identify.mass_change import MISFIT, misfit
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem, certain_bands
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.model.robot import Robot
 from gateway.result.finding import Finding
 

@@ -13,10 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import load_directions
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.problem import EXACT, Knowledge, build_problem
+from gateway.identify.rest.problem import EXACT, build_problem
 from gateway.identify.rest.rest_loads import well_determined
 from gateway.model.robot import Robot, reach_m
 from gateway.result.finding import Finding

@@ -14,16 +14,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.errors import ConfigError
 from gateway.identify.inertia import central_directions
 from gateway.identify.load_estimate import load_directions
-from gateway.identify.trust import prior_share
 from gateway.model.motion import PER_BODY
 from gateway.model.placeholders import wide_inertia
 from gateway.model.robot import Robot, link_lengths_m, reach_m
 
 Floats = NDArray[np.float64]
 
+#: Relative standard deviation of link masses where none is stated.
+LINK_STD: Final = 0.05
 #: Parameters of one link: [m, h] at rest, [m, h, I about the link's origin] in motion.
 PER_LINK_AT_REST: Final = 4
 PER_LINK_MOVING: Final = PER_BODY
@@ -31,27 +31,9 @@ PER_LINK_MOVING: Final = PER_BODY
 _POWERS: Final = np.array([0.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0])
 
 
-def parse_inertials(text: str) -> float:
-    """Relative standard deviation for `exact` (0), `ignore` (infinite) and `prior:S`.
-
-    Raises
-    ------
-    ConfigError
-        Anything else.
-    """
-    if text == "exact":
-        return 0.0
-    if text == "ignore":
-        return math.inf
-    share = prior_share(text)
-    if share is None:
-        raise ConfigError(f"inertials '{text}': use exact, ignore, or prior:S with S > 0, such as prior:0.05")
-    return share
-
-
-def default_inertials(robot: Robot) -> str:
-    """Return `prior:0.05` if the robot model has link inertials, else `ignore`."""
-    return "prior:0.05" if np.isfinite(robot.mass_kg).any() else "ignore"
+def default_link_std(robot: Robot) -> float:
+    """Return the relative standard deviation of the links that is assumed; infinite without link inertials."""
+    return LINK_STD if np.isfinite(robot.mass_kg).any() else math.inf
 
 
 def has_inertials(robot: Robot) -> bool:

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from gateway.data.labels import BARE_LABEL
 from gateway.identify.alternatives import LINK_SCALE, wider_statements, wider_std
-from gateway.identify.links import parse_inertials
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.mass_change import LEFT, MISFIT, misfit
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.model.robot import Robot, reach_m
 from gateway.model.visits import Visits
@@ -78,7 +78,7 @@ def model_conflict(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Know
 
     `problem` and `fit` are those with the knowledge as stated, in which link masses or constants are contradicted.
     """
-    if not np.isfinite(parse_inertials(knowledge.inertials)):
+    if not np.isfinite(knowledge.trust):
         return None
     least, off = _wrong_links(robot, problem, fit, knowledge), _deviation(problem)
     best, cause, most = -np.inf, None, max(MISFIT, LEFT * misfit(problem, fit))

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gateway.cell.quantities import relative_std
 from gateway.errors import ConfigError
-from gateway.identify.trust import prior_share
 
 Floats = NDArray[np.float64]
 
@@ -111,9 +111,7 @@ def parse_torque_gain(text: str) -> float:
     ConfigError
         Anything else.
     """
-    if text == "exact":
-        return 0.0
-    share = prior_share(text)
+    share = relative_std(text)
     if share is None or share >= _MOST_GAIN_STD:
         raise ConfigError(
             f"--torque-gain {text}: use exact, or prior:S with the relative standard deviation of the torque "

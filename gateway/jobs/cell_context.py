@@ -13,15 +13,16 @@ from typing import Final
 
 from drives import bringup
 from drives.bus import Bus, BusSpec, open_bus
+from drives.group import GroupOptions
 from drives.instrument import InstrumentSetup
-from drives.nodes import GroupOptions, Nodes
+from drives.nodes import Nodes
 from drives.profile import DriveProfile
 from gateway.acquire.blackbox import last_seconds
 from gateway.cell.buses import bus_specs
 from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing, with_sync_period
 from gateway.errors import PlanRefused, WrongPlace
 from gateway.model.arm_model import arm_robot
-from gateway.motion.opening import BusOverride, OpenArm, axis_setups, open_arm
+from gateway.motion.opening import OpenArm, axis_setups, open_arm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
 from gateway.pair.gap import instruments_on
@@ -207,8 +208,9 @@ class CellContext:
             Use velocity and torque offsets of the drives.
         """
         self.reserve(arm)
-        override = BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger, feedforward=feedforward)
-        with self.with_move_command(), open_arm(self.loaded, override, arm.name) as opened:
+        spec, ledger = self.bus_spec(arm), self.ledger
+        opening = open_arm(self.loaded, spec, arm.name, trace=trace, ledger=ledger, feedforward=feedforward)
+        with self.with_move_command(), opening as opened:
             yield opened
 
     @contextmanager

@@ -10,25 +10,23 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
 from gateway.acquire.goto import LOADING, Destination, destination, plan_transfer
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
+from gateway.acquire.planning import make_plan
 from gateway.acquire.requested_poses import postures_to_ask
-from gateway.acquire.session import RecordRequest, make_plan
-from gateway.acquire.thermal import Block, Thermal, blocks_of, bracket_of, warm_up
-from gateway.acquire.until.goal import Goal
-from gateway.acquire.until.messages import end_of
-from gateway.acquire.until.prepare import UntilRequest, search_of
-from gateway.acquire.until.search import LoadSearch, NextStep, decide
+from gateway.acquire.session import RecordRequest
+from gateway.acquire.thermal import Block, blocks_of, bracket_of, warm_up
+from gateway.acquire.until import LoadSearch, NextStep, decide, search_of
+from gateway.acquire.until_goal import Goal, end_of
 from gateway.cell.config import ArmConfig
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.rest_pose import RestPose
 from gateway.data.table import Table
-from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.loop import close_loop
 from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
@@ -47,13 +45,24 @@ from gateway.pipeline.inputs import (
     AnalysisInputs,
     ModelRequest,
     collect_inputs,
-    diagnose_arguments,
-    estimate_options,
     read_rows,
     split_validation,
 )
 from gateway.preflight.drive_check import require_passed
 from gateway.result.result import Finding, Result
+
+#: Recording of the warm-up, beside that of the job.
+WARM_UP: Final = "warm-up.h5"
+
+
+def keep_earlier(path: Path, say: Callable[[str], None]) -> None:
+    """Rename a file of an earlier job, if there is one, and say so."""
+    if not path.exists():
+        return
+    names = (path.with_suffix(f".{number}{path.suffix}") for number in range(1, 10_000))
+    kept = next(name for name in names if not name.exists())
+    path.rename(kept)
+    say(f"{path} renamed to {kept}")
 
 
 class Dialogue(Protocol):
@@ -121,13 +130,15 @@ class Job:
         Name of the operator.
     goal : Goal or None
         Required uncertainty of each load; None: measure all poses of the cell.
-    thermal : Thermal or None
-        Loads in forward and reverse order after a warm-up; None: the unloaded arm, then each load.
+    warm_up_s : float or None
+        Loads in forward and reverse order after a warm-up of at most this time; None: the unloaded arm, then each.
     is_bracketed : bool
         Unloaded arm, the one load, and the unloaded arm again.
     repetition : int
         Number of this measurement in a series. From the second on, the poses are other ones, and the last load is
         mounted at the start.
+    outdated : tuple of Path
+        Files of an earlier job that this one would replace: renamed once a person has agreed that the arm moves.
     """
 
     context: CellContext
@@ -137,15 +148,16 @@ class Job:
     options: MoveOptions = field(default_factory=MoveOptions)
     operator: str | None = None
     goal: Goal | None = None
-    thermal: Thermal | None = None
+    warm_up_s: float | None = None
     is_bracketed: bool = False
     repetition: int = 1
+    outdated: tuple[Path, ...] = ()
 
     def blocks(self, poses: Sequence[RestPose]) -> tuple[Block, ...]:
         """Return the labels in the order of measurement."""
         if self.is_bracketed:
             return bracket_of(self.labels[0], poses)
-        return blocks_of(self.labels, poses, self.thermal)
+        return blocks_of(self.labels, poses, self.warm_up_s is not None)
 
     @property
     def begins_bare(self) -> bool:
@@ -154,7 +166,7 @@ class Job:
         A continued job may have had a load mounted: it asks for an empty flange by a prompt if the unloaded arm is not
         complete.
         """
-        return self.repetition == 1 and not self.recording.exists()
+        return self.repetition == 1 and (self.recording in self.outdated or not self.recording.exists())
 
     @property
     def pose_seed(self) -> int:
@@ -189,15 +201,17 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
         result, _ = close_loop(
             seen,
             about.model,
-            DiagnoseOptions(pose_choice=postures_to_ask(about), **diagnose_arguments(about)),
+            about.knowledge,
             robot.measure_poses,
             robot.validation_rad,
+            pose_choice=postures_to_ask(about),
         )
         about, table = robot.data()
     if not result.effects:
-        plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
+        plain = estimate_run(split_validation(table)[0], about.model, about.knowledge)
         result = replace(result, method=plain.method, parameters=plain.parameters, bare=plain.bare)
-    drifts = drift_of(pair_visits(table, about.efficiency, about.coupling)) if job.thermal is not None else ()
+    gears = about.knowledge.efficiency, about.knowledge.coupling
+    drifts = () if job.warm_up_s is None else drift_of(pair_visits(table, *gears))
     result = replace(result, findings=(*result.findings, *robot.ends, *drift_findings(drifts)))
     return finalize(result, about, table, [job.recording], job.operator)
 
@@ -211,7 +225,9 @@ def measure(job: Job, dialogue: Dialogue) -> None:
 @contextmanager
 def _measuring(job: Job, dialogue: Dialogue) -> Generator[_Robot]:
     """Yield the open arm after all loads of a job are recorded."""
-    _check(job, dialogue)
+    items = job.context.check(job.arm)
+    dialogue.checked(items)
+    require_passed(items, "check failed, the arm is not moved")
     if (
         job.arm.loading_rad is not None
     ):  # refuse an unreachable posture before the measurement (up to an hour), not after it
@@ -221,17 +237,13 @@ def _measuring(job: Job, dialogue: Dialogue) -> Generator[_Robot]:
     also = flange_question(BARE_LABEL if job.begins_bare else None)
     with job.context.opened(job.arm) as opened:
         options = begin_motion(job.context, (opened,), job.options, dialogue.ask, dialogue.say, also=also)
+        for path in job.outdated:
+            keep_earlier(path, dialogue.say)
         robot = _Robot(replace(job, options=options), dialogue, opened, plan)
         robot.warm_up()
         for block in job.blocks(robot.fit_poses):
             robot.measure_load(block)
         yield robot
-
-
-def _check(job: Job, dialogue: Dialogue) -> None:
-    items = job.context.check(job.arm)
-    dialogue.checked(items)
-    require_passed(items, "check failed, the arm is not moved")
 
 
 class _Robot:
@@ -256,11 +268,10 @@ class _Robot:
 
     def warm_up(self) -> None:
         """Warm up until friction is steady, if requested and nothing is measured yet."""
-        thermal, job = self._job.thermal, self._job
-        if thermal is None or thermal.warm_up_s == 0.0 or self._stored() is not None:
-            return
-        said = warm_up(self.fit_poses, job.recording, thermal.warm_up_s, lambda poses, to: self._record(poses, to))
-        self._dialogue.say(said)
+        job = self._job
+        if job.warm_up_s and self._stored() is None:
+            path = job.recording.with_name(WARM_UP)
+            self._dialogue.say(warm_up(self.fit_poses, path, job.warm_up_s, self._record))
 
     def measure_load(self, block: Block) -> None:
         """Have a load mounted and measure its poses; if all are measured, only the last load is requested."""
@@ -279,8 +290,10 @@ class _Robot:
     def _measure_until(self, label: str, goal: Goal) -> None:
         """Have a load mounted and measure until it is known; a known one is only requested if it is the last."""
         opened, job = self._opened, self._job
-        request = UntilRequest(label, goal, job.recording, job.context.path)
-        search, earlier = search_of(opened.loaded, opened.workspace, opened.config, request, self.validation_rad)
+        path, cell = job.recording, job.context.path
+        search, earlier = search_of(
+            opened.loaded, opened.workspace, opened.config, label, goal, path, cell, self.validation_rad
+        )
         missing = decide(search, None, opened.arm.where()).plan is not None
         if missing or label == job.labels[-1]:
             self._go_loading()
@@ -291,7 +304,7 @@ class _Robot:
         decision = self._dialogue.measure_until(opened, search, earlier, job.recording, self._job.options)
         self._job = replace(self._job, options=replace(self._job.options, first_done=None))
         self._next = max(self._next, 1 + max(pose.number for pose in self._known_poses()))
-        self.ends.append(end_of(decision, label))
+        self.ends.append(end_of(decision.stock, decision.verdict, label))
 
     def _known_poses(self) -> tuple[RestPose, ...]:
         stored = self._stored()

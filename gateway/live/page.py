@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import secrets
-import signal
 import socket
 import subprocess
-import sys
 from types import TracebackType
 from typing import Final, Self
 
+from drives.child_process import start_module
 from gateway.errors import ENDING_SIGNALS, ConfigError
 from gateway.live.feed import Feed
 from gateway.live.guard import HOST, Door
@@ -56,7 +54,7 @@ class LivePage:
         door = Door(listener.getsockname()[1], secrets.token_urlsafe(16))
         here, there = pair_of_sockets()
         with listener, there:
-            self.process = _started(there.fileno(), listener.fileno())
+            self.process = start_module(PROGRAM, ENDING_SIGNALS, (there.fileno(), listener.fileno()))
         self.address = door.address
         self.feed = Feed(here)
         for piece in pieces(Hello(door.port, door.token, title, stops)):
@@ -97,23 +95,3 @@ def _listener(port: int | None) -> socket.socket:
         listener.setblocking(False)
         return listener
     raise ConfigError(f"no port from {PORT} to {PORT + FURTHER - 1} is free for the live page; choose one with --port")
-
-
-def _started(channel: int, listener: int) -> subprocess.Popen[bytes]:
-    """Start the process in a separate session, so that Ctrl-C does not reach it."""
-    # the same modules are found there as here, wherever this process was started
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-    # a terminal or a service manager sends these to all processes; the page ends when the command does
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-P", "-m", PROGRAM, str(channel), str(listener)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-            pass_fds=(channel, listener),
-            start_new_session=True,
-        )
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

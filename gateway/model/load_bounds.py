@@ -133,7 +133,7 @@ def refuse_stated_loads(arm: ArmConfig, robot: Robot, where: str) -> None:
     ConfigError
         A load is beyond the bounds; the message names the key and the likely unit.
     """
-    trusted, rated = arm.inertials != "ignore", arm.rated_load_kg
+    trusted, rated = math.isfinite(arm.link_std), arm.rated_load_kg
     stated = (
         ("rated_load_kg", None if rated is None else rated.value, arm.rated_load_com_m, None),
         ("max_load_kg", arm.max_load_kg, arm.max_load_com_m, None if rated is None else (rated.value, "rated_load_kg")),

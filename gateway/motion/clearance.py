@@ -298,9 +298,9 @@ def space_of(arm: ArmConfig, robot: Robot, lower_rad: Floats, upper_rad: Floats)
     are also left out (all of `SAMPLES` random postures; `ALWAYS` of them if a shape is assumed). Planes and boxes are
     never left out for a link beyond the first.
     """
-    around = surroundings_of(arm, robot)
-    body = body_of_parts([*around.fixed_parts, *moving_parts(arm, robot)])
-    return space_between(robot, body, around.boxes_m, around.planes, (lower_rad, upper_rad))
+    planes, boxes_m, fixed_parts = surroundings_of(arm, robot)
+    body = body_of_parts([*fixed_parts, *moving_parts(arm, robot)])
+    return space_between(robot, body, boxes_m, planes, (lower_rad, upper_rad))
 
 
 def space_between(

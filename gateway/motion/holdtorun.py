@@ -163,7 +163,7 @@ def with_held_input(opened: OpenArm, options: MoveOptions) -> MoveOptions:
     config = opened.config.hold_to_run
     if config is None:
         return options
-    own = {access.node_id: access.sdo for access in opened.group.nodes.access}
+    own = {access.node_id: access.sdo for access in opened.group.access}
     sdo = own.get(config.node_id) or SdoClient(opened.group.bus, config.node_id)
     held, desk, ready = HeldInput(opened.group.bus, sdo, config), options.desk, options.ready
     desk.watch(lambda: held() if desk.under_power else None)

@@ -34,31 +34,6 @@ from gateway.preflight.drive_check import Preflight, look_over, require_passed
 from gateway.preflight.rules import CONFIRM_TORQUE, Readings
 
 
-@dataclass(frozen=True, slots=True)
-class BusOverride:
-    """Bus settings that override those of the cell file.
-
-    Attributes
-    ----------
-    spec : BusSpec or None
-        Bus instead of that of the cell file; SYNC period and pacing remain those of the cell file.
-    trace : Path or None
-        File of the frame log (`.blf`, `.log`).
-    ledger : Path or None
-        Folder of the write ledger.
-    feedforward : bool
-        Use velocity and torque offsets of the drives: a second RPDO is mapped.
-    instruments : tuple of InstrumentSetup
-        Measuring devices that are read with the drives.
-    """
-
-    spec: BusSpec | None = None
-    trace: Path | None = None
-    ledger: Path | None = None
-    feedforward: bool = False
-    instruments: tuple[InstrumentSetup, ...] = ()
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenArm:
     """Arm with connected and configured drives, brakes on.
@@ -171,7 +146,7 @@ def _limit_torques(
 
     A motion may accelerate harder than the quick stop decelerates: the larger of both counts.
     """
-    ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.nodes.setups], found.readings)
+    ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], found.readings)
     hardest = None if ramp is None else np.maximum(ramp, workspace.acceleration_rad_s2)
     needed_nm = None if hardest is None else needed_torque_nm(workspace, config, hardest, known)
     limits = motor_torques_nm(AxisConversion.from_arm(config), needed_nm)
@@ -214,7 +189,15 @@ def _refuse_placeholders(config: ArmConfig) -> None:
 
 @contextmanager
 def open_arm(
-    loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None, disk: Disk | None = None
+    loaded: LoadedCell,
+    spec: BusSpec | None = None,
+    arm: str | None = None,
+    *,
+    trace: Path | None = None,
+    ledger: Path | None = None,
+    feedforward: bool = False,
+    instruments: tuple[InstrumentSetup, ...] = (),
+    disk: Disk | None = None,
 ) -> Generator[OpenArm]:
     """Connect, check and configure the drives of an arm; on exit they are disabled and the bus is closed.
 
@@ -225,9 +208,18 @@ def open_arm(
     Parameters
     ----------
     loaded : LoadedCell
-    override : BusOverride, optional
+    spec : BusSpec, optional
+        Bus instead of that of the cell file; SYNC period and pacing remain those of the cell file.
     arm : str, optional
         Name of the arm, if the cell has several.
+    trace : Path, optional
+        File of the frame log (`.blf`, `.log`).
+    ledger : Path, optional
+        Folder of the write ledger.
+    feedforward : bool
+        Use velocity and torque offsets of the drives: a second RPDO is mapped.
+    instruments : tuple of InstrumentSetup
+        Measuring devices that are read with the drives.
     disk : Disk, optional
         Process that writes for several arms, closed by the caller; by default one of this arm.
 
@@ -244,7 +236,6 @@ def open_arm(
     FindingFailed
         The settings of a drive do not allow motion.
     """
-    override = override or BusOverride()
     config = arm_named(loaded, arm)
     text = robot_text(loaded, config)
     robot = robot_from_text(config, text, robot_place(loaded, config))
@@ -253,22 +244,17 @@ def open_arm(
     setups = axis_setups(loaded, config)
     _refuse_obstacles(setups)
     _refuse_placeholders(config)
-    setups = tuple(replace(setup, feedforward=override.feedforward) for setup in setups)
+    setups = tuple(replace(setup, feedforward=feedforward) for setup in setups)
     bus_config = loaded.cell.bus[config.bus]
-    spec = override.spec or bus_config.spec
-    options = GroupOptions(
-        ledger_path=override.ledger,
-        instruments=override.instruments,
-        allow_real_drive=bus_config.allow_real_drive,
-    )
+    options = GroupOptions(ledger_path=ledger, instruments=instruments, allow_real_drive=bus_config.allow_real_drive)
     with (
         Disk() if disk is None else nullcontext(disk) as writing,
-        open_bus(spec) as bus,
-        logged(bus, override.trace, writing) as log,
+        open_bus(spec or bus_config.spec) as bus,
+        logged(bus, trace, writing) as log,
         DriveGroup(bus, setups, bus_config.sync_period_s, bus_config.pacing, options=options) as group,
     ):
         identities = group.connect()
-        found = look_over(config, group.nodes)
+        found = look_over(config, group)
         require_passed(found.refusing, "check failed, the arm is not moved")
         _limit_torques(group, config, workspace, found, known)
         group.configure()

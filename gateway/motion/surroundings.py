@@ -56,24 +56,12 @@ class Plane:
     source: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
-    """Fixed surroundings: planes, boxes (b, 2, 3) [m] by lower and upper corner, and the arm's own base and column."""
-
-    planes: tuple[Plane, ...]
-    boxes_m: Floats
-    fixed_parts: tuple[Part, ...]
-
-
-def surroundings_of(arm: ArmConfig, robot: Robot) -> Surroundings:
-    """Return the surroundings of a configured arm."""
+def surroundings_of(arm: ArmConfig, robot: Robot) -> tuple[tuple[Plane, ...], Floats, tuple[Part, ...]]:
+    """Return planes, boxes (b, 2, 3) [m] by lower and upper corner, and the own base and column of a configured arm."""
     planes = tuple(_planes(arm, robot))
     floor = next((plane.height_m for plane in planes if plane.name == "floor"), None)
-    return Surroundings(
-        planes=planes,
-        boxes_m=np.array([(box.min_m, box.max_m) for box in arm.keep_out]).reshape(-1, 2, 3),
-        fixed_parts=tuple(_fixed_parts(arm, robot, floor)),
-    )
+    boxes_m = np.array([(box.min_m, box.max_m) for box in arm.keep_out]).reshape(-1, 2, 3)
+    return planes, boxes_m, tuple(_fixed_parts(arm, robot, floor))
 
 
 def upward(arm: ArmConfig, robot: Robot) -> Floats:

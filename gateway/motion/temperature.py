@@ -5,21 +5,12 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
 from drives.profile_parts import Temperature
-from drives.sdo import Posted
+from drives.sdo import Posted, SdoClient
 from gateway.motion.opening import OpenArm
-
-
-class PostingClient(Protocol):
-    """SDO client that sends requests without waiting for the answer."""
-
-    def post(self, index: int, subindex: int, data_type: str) -> Posted:
-        """Request an object; the answer is stored when it arrives."""
-        ...
 
 
 class MotorTemperatures:
@@ -27,11 +18,11 @@ class MotorTemperatures:
 
     Parameters
     ----------
-    axes : sequence of (PostingClient, Temperature) or None
+    axes : sequence of (SdoClient, Temperature) or None
         SDO client and temperature object of each drive; None = the drive has none.
     """
 
-    def __init__(self, axes: Sequence[tuple[PostingClient, Temperature] | None]) -> None:
+    def __init__(self, axes: Sequence[tuple[SdoClient, Temperature] | None]) -> None:
         self._axes = tuple(axes)
         self.begin()
 
@@ -64,6 +55,6 @@ class MotorTemperatures:
 
 def motor_temperatures(opened: OpenArm) -> MotorTemperatures | None:
     """Return the temperatures of an arm; None where no profile names an object for them."""
-    pairs = zip(opened.group.nodes.access, opened.profiles, strict=False)
+    pairs = zip(opened.group.access, opened.profiles, strict=False)
     axes = [None if profile.temperature is None else (access.sdo, profile.temperature) for access, profile in pairs]
     return MotorTemperatures(axes) if any(axes) else None

@@ -304,7 +304,7 @@ def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
         )
     flange = np.zeros(3) if robot.flange is None else robot.flange[:3, 3]
     load_com = flange if arm.max_load_com_m is None else np.array(arm.max_load_com_m)
-    known = arm.inertials != "ignore" and bool(np.isfinite(robot.mass_kg).all() and np.isfinite(robot.com_m).all())
+    known = np.isfinite(arm.link_std) and bool(np.isfinite(robot.mass_kg).all() and np.isfinite(robot.com_m).all())
     moments = np.column_stack([robot.mass_kg, robot.mass_kg[:, None] * robot.com_m]).ravel()
     return Workspace(
         robot=robot,

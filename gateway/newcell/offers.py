@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from drives.profile import DriveProfile
 from drives.profile_parts import is_assumed
-from gateway.identify.links import default_inertials
+from gateway.cell.quantities import inertials_text
+from gateway.identify.links import default_link_std
 from gateway.model.placeholders import effort_placeholder, mass_placeholder
 from gateway.model.robot import Robot
 from gateway.model.urdf import FLANGES, flange_kind
@@ -185,7 +186,7 @@ def _rounded(value: float) -> float:
 
 def inertials(robot: Robot) -> Answer:
     """Return the uncertainty of the link masses of the description."""
-    what, why = default_inertials(robot), mass_placeholder(robot)
+    what, why = inertials_text(default_link_std(robot)), mass_placeholder(robot)
     if why:
         return Answer("ignore", f"{PLACEHOLDER}: {why}")
     return Answer(

@@ -334,11 +334,6 @@ class PairController:
         """Return the function of the next cycle."""
         return self._first if self._learning is None else self._learning.in_use
 
-    @property
-    def needs_measured(self) -> bool:
-        """Return whether `step` requires the present poses."""
-        return self._config.learning is not None and self._config.learning.source != "command"
-
     def state(self) -> ControllerState:
         """Return the state between two cycles."""
         learning = self._learning

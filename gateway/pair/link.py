@@ -10,7 +10,7 @@ import numpy as np
 
 from gateway.data.disk import Disk
 from gateway.motion.arms import Arms
-from gateway.motion.opening import BusOverride, OpenArm, open_arm
+from gateway.motion.opening import OpenArm, open_arm
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.pair.gap import instruments_on
 from gateway.pair.pair_cell import PairCell
@@ -31,8 +31,7 @@ class PairLink:
 
     def stream(self, cell: PairCell, options: MoveOptions) -> Stream:
         """Return the stream of both arms."""
-        workspaces = tuple(opened.workspace for opened in self.opened)
-        return Stream(self.together, workspaces, cell.sync_period_s, options)
+        return Stream(self.together, tuple(each.workspace for each in self.opened), cell.sync_period_s, options)
 
     def statistics(self) -> LinkStatistics:
         """Return the counters of both buses so far."""
@@ -64,8 +63,9 @@ def open_link(cell: PairCell, ledger: Path | None = None) -> Generator[PairLink]
     with ExitStack() as opened:
         arms, disk = [], opened.enter_context(Disk())
         for arm, spec in zip(cell.arms, cell.specs, strict=True):
-            override = BusOverride(spec, ledger=ledger, instruments=instruments_on(arm.config.bus, cell.config))
-            arms.append(opened.enter_context(open_arm(cell.loaded, override, arm.config.name, disk)))
+            on_bus, name = instruments_on(arm.config.bus, cell.config), arm.config.name
+            opening = open_arm(cell.loaded, spec, name, ledger=ledger, instruments=on_bus, disk=disk)
+            arms.append(opened.enter_context(opening))
         together = Arms([each.arm for each in arms], cell.pacing)
         opened.callback(together.close)
         yield PairLink((arms[0], arms[1]), together)

@@ -45,7 +45,7 @@ from gateway.pipeline.calibration_checks import (
     unknown_axes,
 )
 from gateway.pipeline.finalize import data_findings
-from gateway.pipeline.inputs import AnalysisInputs, estimate_options, profile_of
+from gateway.pipeline.inputs import AnalysisInputs, profile_of
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
@@ -93,16 +93,16 @@ def calibrate(
     robot, arm = about.model, about.arm
     if arm is None:
         raise ConfigError("calibrate needs the cell file, whose torque constants it measures")
-    options = replace(estimate_options(about), inertials="ignore", bare=None)
-    found = pair_visits(table.take(~table.moving), options.efficiency, options.coupling)
-    visits, rejected = without_outliers(found, robot, options.gravity_m_s2)
+    knowledge = replace(about.knowledge, link_std=np.inf, bare=None)
+    found = pair_visits(table.take(~table.moving), knowledge.efficiency, knowledge.coupling)
+    visits, rejected = without_outliers(found, robot, knowledge.gravity_m_s2)
     if not (visits.load == BARE_LABEL).any():
         raise DataUnusable(
             f"the data hold no rest pose of the unloaded arm (load '{BARE_LABEL}'): measure it before and after the"
             " load"
         )
     gain_std = tuple(np.maximum(stated_std(about, robot.axes), PRIOR_STD).tolist())
-    problem = build_problem(robot, visits, replace(options, gain_std=gain_std))
+    problem = build_problem(robot, visits, replace(knowledge, gain_std=gain_std))
     for label in (weight.label, BARE_LABEL):
         require_postures(visits.q_rad[visits.load == label], label)
     fit = fit_without_effects(problem)
@@ -112,9 +112,9 @@ def calibrate(
         else load_vector((weight.mass_kg, *weight.com_m))
     )
     noise_nm = axis_sigma(problem, fit)
-    load_nm = load_torque(robot, visits.q_rad[visits.load == weight.label], options.gravity_m_s2, moment)
+    load_nm = load_torque(robot, visits.q_rad[visits.load == weight.label], knowledge.gravity_m_s2, moment)
     axes = tuple(_axes(arm, about, problem, fit, np.abs(load_nm).max(axis=0)))
-    mismatch = tuple(mass_finding(visits, robot, options, weight))
+    mismatch = tuple(mass_finding(visits, robot, knowledge, weight))
     if not any(axis.is_known for axis in axes):
         why = carried_by_none(load_nm, np.nan_to_num(noise_nm, nan=np.inf), stated_std(about, robot.axes))
         raise DataUnusable(f"load '{weight.label}' calibrates no axis: {why or _best(axes)}; nothing is stored")
@@ -127,7 +127,7 @@ def calibrate(
         data=tuple(data),
         axis=tuple(_stored(arm, about, axes, fitted_rows(problem, fit).rms_nm, visits)),
     )
-    places = Places(robot, options.gravity_m_s2, moment, postures)
+    places = Places(robot, knowledge.gravity_m_s2, moment, postures)
     mismatch = mismatch or tuple(common_finding(axes, weight))
     findings = (*mismatch, *stated_findings(axes), *unknown_axes(axes, noise_nm, weight, places))
     about_data = (*data_findings(about, table), *rejected.findings, *drift_findings(drift_of(visits)))

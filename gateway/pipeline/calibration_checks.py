@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gateway.cell.calibration import ArmCalibration, CalibratedAxis
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.joint import estimate_joint
-from gateway.estimate.options import EstimateOptions
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.nuisance import COMMON_SHARE, gain_stds
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
@@ -57,7 +57,7 @@ class Weight:
         ConfigError
             The mass of the load is 0.
         """
-        mass_kg, *com_m = about.known.get(label, (about.masses.get(label, 0.0),))
+        mass_kg, *com_m = about.knowledge.known.get(label, (about.knowledge.masses.get(label, 0.0),))
         if not mass_kg > 0.0:
             raise ConfigError(
                 f"--known {label}={mass_kg:g}: a load of 0 kg cannot calibrate an axis; state the weighed mass"
@@ -94,7 +94,7 @@ class AxisCalibration:
 
 def stated_std(about: AnalysisInputs, axes: int) -> Floats:
     """Return the relative standard deviations (N,) of the stated constants."""
-    return np.maximum(gain_stds(about.gain_std, axes), _STATED_STD)
+    return np.maximum(gain_stds(about.knowledge.gain_std, axes), _STATED_STD)
 
 
 def expected_std(load_nm: Floats, noise_nm: Floats) -> Floats:
@@ -129,9 +129,9 @@ def carried_by_none(load_nm: Floats, noise_nm: Floats, stated: Floats) -> str:
     )
 
 
-def mass_finding(visits: Visits, robot: Robot, options: EstimateOptions, weight: Weight) -> Iterator[Finding]:
+def mass_finding(visits: Visits, robot: Robot, knowledge: Knowledge, weight: Weight) -> Iterator[Finding]:
     """Compare the stated mass with the mass estimated with the stated constants, so that a wrong load is detected."""
-    free = replace(options, known={}, masses={})
+    free = replace(knowledge, known={}, masses={})
     load = next(each for each in estimate_joint(visits, robot, free).loads if each.label == weight.label)
     if load.refused:
         raise DataUnusable(f"load '{weight.label}' calibrates no axis: {load.refused}")

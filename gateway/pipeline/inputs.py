@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -18,22 +18,22 @@ from drives.profile_file import find_profile, parse_profile
 from gateway.cell.calibration import calibration_path
 from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
+from gateway.cell.quantities import parse_inertials
 from gateway.data.reading import is_recording, read_data
 from gateway.data.recording.binding import Bound, Correction, bind, refuse_other_drives
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording, arm_config
 from gateway.data.table import Table
 from gateway.errors import ConfigError, InputError
-from gateway.estimate.options import EstimateOptions
 from gateway.estimate.posture import refuse_other_bare
-from gateway.identify.links import default_inertials
+from gateway.identify.knowledge import Knowledge
 from gateway.model.arm_model import arm_named, arm_robot, robot_from_text
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2, kinematic_difference
 from gateway.model.load_bounds import LoadBounds, load_bounds
 from gateway.model.robot import Robot, or_another_tip, robot_from_urdf
 from gateway.model.urdf_text import read_urdf
 from gateway.pipeline.calibrated import Calibrated, calibrated, serial_numbers
-from gateway.pipeline.known import KnownLoad, Load, unnamed_frame, with_and_without_centre
+from gateway.pipeline.known import KnownLoad, unnamed_frame, with_and_without_centre
 from gateway.pipeline.torque_size import refuse_small_torques, without_constant_torques
 from gateway.result.result import Bare, Finding, read_result
 
@@ -83,13 +83,8 @@ class AnalysisInputs:
     ----------
     robot : Robot or None
         None if neither an option nor a recording names one.
-    gravity_m_s2 : tuple of 3 floats
-    efficiency, gear_ratio : arrays of shape (N,)
-        Without a cell: efficiency 1 (the torque of the table is used unchanged), ratio NaN.
-    inertials : str or None
-    known : mapping of label to (mass [kg], x, y, z [m] in the last link)
-    masses : mapping of label to mass [kg], of loads with unknown centre of gravity
-    bare : Bare or None
+    knowledge : Knowledge
+        Prior knowledge of arm and loads, from the options and the cell.
     arm : ArmConfig or None
         Arm of the cell file, if there is one.
     loaded : LoadedCell or None
@@ -97,50 +92,27 @@ class AnalysisInputs:
         Recordings of that arm, converted with the valid constants.
     corrections : tuple of Correction
         Constants that were corrected since a recording was made.
-    gain_std : tuple of N floats, or None
-        Relative standard deviations of the torque constants; None if not stated.
     assumed : tuple of Finding
         Assumptions about the inputs, such as the frame of a known load.
-    change : float
-        Factor on the usual drift of the torque readings between runs and during warm-up.
     currents : joints whose motor current is in a table
     calibrated : Calibrated or None
         Torque constants of the calibration file, which `read_rows` applies.
     """
 
     robot: Robot | None
-    gravity_m_s2: tuple[float, float, float]
-    efficiency: np.ndarray
-    gear_ratio: np.ndarray
-    inertials: str | None
-    known: Mapping[str, Load]
-    masses: Mapping[str, float]
-    bare: Bare | None
+    knowledge: Knowledge
     arm: ArmConfig | None
     loaded: LoadedCell | None
     recordings: tuple[Recording, ...]
     corrections: tuple[Correction, ...] = ()
-    gain_std: tuple[float, ...] | None = None
     assumed: tuple[Finding, ...] = ()
-    change: float = 1.0
     currents: frozenset[int] = frozenset()
     calibrated: Calibrated | None = None
 
     @property
-    def measured_gain(self) -> tuple[bool, ...]:
-        """Mask (N,) of the axes with a calibrated torque constant; empty without a calibration."""
-        return () if self.calibrated is None else tuple(np.isfinite(self.calibrated.std).tolist())
-
-    @property
-    def coupling(self) -> np.ndarray | None:
-        """Coupling matrix (N, N) of gear outputs and joints, see `gateway.model.visits.Gears`; None = one to one."""
-        coupled = None if self.arm is None else self.arm.coupling
-        return None if coupled is None else np.array(coupled, dtype=float)
-
-    @property
     def load_bounds(self) -> LoadBounds:
         """Largest credible load of this arm."""
-        return load_bounds(self.robot, self.arm, trusts_masses=self.inertials != "ignore")
+        return load_bounds(self.robot, self.arm, trusts_masses=self.knowledge.link_std != np.inf)
 
     @property
     def model(self) -> Robot:
@@ -198,30 +170,40 @@ def inputs_from_recordings(
     bare = None if request.bare is None else read_bare(request.bare)
     if bare is not None and robot is not None:
         refuse_other_bare(bare, robot, gravity_m_s2)
-    inertials = request.inertials or (None if arm is None else arm.inertials)
-    bounds = load_bounds(robot, arm, trusts_masses=inertials != "ignore")
+    stated = None if arm is None else arm.link_std
+    link_std = parse_inertials(request.inertials) if request.inertials else stated
+    bounds = load_bounds(robot, arm, trusts_masses=link_std != np.inf)
     measured = _calibrated(request, loaded, arm, [each.recording for each in bound])
     if request.bare is not None:
         _refuse_other_scale(request.bare, axes, measured)
     known, masses = with_and_without_centre(request.known, robot, bounds)
     assumed = (unnamed_frame(label, stated, robot) for label, stated in request.known.items())
-    return AnalysisInputs(
-        robot=robot,
-        gravity_m_s2=gravity_m_s2,
-        efficiency=np.ones(axes) if arm is None else np.array([axis.gear_efficiency.value for axis in arm.axis]),
-        gear_ratio=np.full(axes, np.nan) if arm is None else np.array([axis.gear_ratio.value for axis in arm.axis]),
-        inertials=inertials,
+    knowledge = Knowledge(
+        link_std=link_std,
         known=known,
         masses=masses,
         bare=bare,
+        gravity_m_s2=gravity_m_s2,
+        gain_std=_gain_std(request, arm, axes, (profile_of(read_ones, loaded), currents), measured),
+        measured_gain=() if measured is None else tuple(np.isfinite(measured.std).tolist()),
+        change=WARM_CHANGE if request.is_warm else 1.0,
+    )
+    if arm is not None:
+        knowledge = replace(
+            knowledge,
+            efficiency=np.array([axis.gear_efficiency.value for axis in arm.axis]),
+            coupling=None if arm.coupling is None else np.array(arm.coupling, dtype=float),
+            gear_ratio=np.array([axis.gear_ratio.value for axis in arm.axis]),
+        )
+    return AnalysisInputs(
+        robot=robot,
+        knowledge=knowledge,
         arm=arm,
         loaded=loaded,
         recordings=tuple(each.recording for each in bound),
         corrections=tuple(dict.fromkeys(correction for each in bound for correction in each.corrections)),
-        gain_std=_gain_std(request, arm, axes, (profile_of(read_ones, loaded), currents), measured),
         currents=currents,
         assumed=(*filter(None, assumed), *(() if measured is None else measured.findings)),
-        change=WARM_CHANGE if request.is_warm else 1.0,
         calibrated=measured,
     )
 
@@ -420,43 +402,9 @@ def read_rows(paths: Sequence[Path], about: AnalysisInputs) -> Table:
             f" {about.robot.axes}; name the measured robot{or_another_tip(about.robot, table.axes)}"
         )
     table = without_constant_torques(table)
-    if about.robot is not None and about.inertials != "ignore":
-        refuse_small_torques(table, about.robot, about.gravity_m_s2)
+    if about.robot is not None and about.knowledge.link_std != np.inf:
+        refuse_small_torques(table, about.robot, about.knowledge.gravity_m_s2)
     return table
-
-
-def estimate_options(about: AnalysisInputs) -> EstimateOptions:
-    """Return the options of an estimation."""
-    inertials = about.inertials or ("ignore" if about.robot is None else default_inertials(about.robot))
-    return EstimateOptions(
-        inertials=inertials,
-        known=about.known,
-        masses=about.masses,
-        bare=about.bare,
-        gravity_m_s2=about.gravity_m_s2,
-        gain_std=about.gain_std,
-        measured_gain=about.measured_gain,
-        change=about.change,
-        efficiency=tuple(about.efficiency.tolist()),
-        coupling=about.coupling,
-    )
-
-
-def diagnose_arguments(about: AnalysisInputs) -> dict[str, Any]:
-    """Return the arguments of a diagnosis."""
-    return {
-        "inertials": about.inertials,
-        "known": about.known,
-        "masses": about.masses,
-        "bare": about.bare,
-        "gravity_m_s2": about.gravity_m_s2,
-        "gain_std": about.gain_std,
-        "measured_gain": about.measured_gain,
-        "change": about.change,
-        "efficiency": about.efficiency,
-        "coupling": about.coupling,
-        "gear_ratio": about.gear_ratio,
-    }
 
 
 def split_validation(table: Table) -> tuple[Table, Table | None]:

@@ -65,12 +65,12 @@ def entered_load(result: Result, label: str | None, about: AnalysisInputs) -> En
         raise DataUnusable(f"the result does not decide between the effects {names}: measure the poses under `next`")
     if result.bare is None:
         raise DataUnusable(f"the result holds no identification of the unloaded arm: {_AGAIN}")
-    refuse_other_bare(result.bare, about.model, about.gravity_m_s2)
+    refuse_other_bare(result.bare, about.model, about.knowledge.gravity_m_s2)
     if not all(map(math.isfinite, result.noise_floor_nm)) or len(result.noise_floor_nm) != about.model.axes:
         raise DataUnusable(
             f"the result states no noise floor for every axis: {_AGAIN}, and approach each pose in both directions"
         )
-    gears = Gears.of(about.efficiency, about.model.axes, about.coupling)
+    gears = Gears.of(about.knowledge.efficiency, about.model.axes, about.knowledge.coupling)
     effects = stated_terms(result.effects, gears, about.model.axes)
     return EnteredLoad(about.model, result.bare, load, effects, gears, np.array(result.friction_band_nm, dtype=float))
 
@@ -134,7 +134,8 @@ def accepted_over(
         No unseen pose under the load, or an axis was not measured.
     """
     label = entered.load.label
-    visits = pair_visits(table.take((table.load == label) & ~table.moving), about.efficiency, about.coupling)
+    stated = about.knowledge
+    visits = pair_visits(table.take((table.load == label) & ~table.moving), stated.efficiency, stated.coupling)
     visits = visits.take(unseen(result, visits.q_rad))
     if not len(visits) or not np.isfinite(visits.sum_nm).all():
         raise DataUnusable(

@@ -9,11 +9,9 @@ from typing import Final
 from drives.abort import ABSENT
 from drives.bringup import identify, listen_for_masters
 from drives.busload import LOAD_LIMIT_PERCENT, cycle_bits_worst, load_percent
-from drives.discovery import read_identity
 from drives.drive import Cia402Drive
 from drives.errors import (
     DriveError,
-    DuplicateNode,
     IdentityMismatch,
     SdoAbort,
     SdoProtocolError,
@@ -23,7 +21,7 @@ from drives.instrument import InstrumentSetup
 from drives.ledger import KnownDevice, WriteLedger
 from drives.nodes import Nodes
 from drives.objects import OBJECTS, object_name
-from drives.pdo import rpdo_plan, tpdo_plans
+from drives.pdo import rpdo_plans, tpdo_plans
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
 from drives.sdo import SdoClient
 from drives.values import Identity
@@ -235,9 +233,9 @@ def check_arm(arm: ArmConfig, nodes: Nodes) -> list[Finding]:
 
 def _seen(axis: Axis, drive: Cia402Drive, nodes: Nodes) -> SeenDrive:
     """Read a drive that was identified."""
-    identity = drive.identity or read_identity(drive.access.sdo)
     readings, unread = read_objects(drive.access.sdo, axis.profile)
-    return SeenDrive(axis, identity, as_left(readings, identity, nodes.ledger, nodes.bus.spec.name), unread)
+    as_it_was = as_left(readings, drive.identity, nodes.ledger, nodes.bus.spec.name)
+    return SeenDrive(axis, drive.identity, as_it_was, unread)
 
 
 def look_over(arm: ArmConfig, nodes: Nodes) -> Preflight:
@@ -331,7 +329,7 @@ def judge_bus_load(
     """
     sizes = [0]
     for node_id, profile in axes:
-        plans = (rpdo_plan(node_id), *tpdo_plans(profile, node_id)[0])
+        plans = (*rpdo_plans(node_id), *tpdo_plans(profile, node_id)[0])
         sizes += [plan.size_bytes for plan in plans]
     sizes += [plan.size_bytes for setup in instruments for plan in setup.plans()]
     bits = cycle_bits_worst(sizes)
@@ -359,5 +357,4 @@ def _unreachable(axis: Axis, error: DriveError) -> Finding:
     if isinstance(error, SdoAbort) and error.index is not None:
         place = f"{where}:{object_name(error.index, error.subindex or 0)}"
         return Finding("fail", place, f"cannot be read: {error.what}", error.advice)
-    what = error.what if isinstance(error, DuplicateNode) else f"does not answer: {error.what}"
-    return Finding("fail", where, what, f"{error.advice}; `servo-gateway scan` lists the nodes on the bus")
+    return Finding("fail", where, error.what, f"{error.advice}; `servo-gateway scan` lists the nodes on the bus")

@@ -24,8 +24,8 @@ _NARROW: Final = "narrow position_limit_rad to that, or lower the resolution of 
 MOVE_HOME: Final = "servo-gateway move CELL --to home"
 
 
-def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
-    """Check joint position and drive ranges against the limits of the cell.
+def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
+    """Check the joint position, which is checked again before each motion.
 
     Parameters
     ----------
@@ -35,11 +35,6 @@ def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding
     readings : mapping
         (index, subindex) -> value.
     """
-    return [*judge_place(axis, arm, readings), *judge_ranges(axis, arm, readings)]
-
-
-def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
-    """Check the joint position, which is checked again before each motion; parameters as `judge_limits`."""
     lines = Lines(axis)
     turn, position = counts_per_revolution(axis.profile, readings), value_of(readings, "position")
     if turn is not None and position is not None and arm.coupling is None:
@@ -54,7 +49,7 @@ def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]
 
 
 def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
-    """Check software limits, position range and following error window; parameters as `judge_limits`."""
+    """Check software limits, position range and following error window; parameters as `judge_place`."""
     lines = Lines(axis)
     if counts_per_revolution(axis.profile, readings) is None:
         return lines.items

@@ -59,29 +59,20 @@ class Lines:
         self.items.append(Finding(severity, place, what, advice))
 
 
-def judge_axis(axis: Axis, readings: Readings) -> list[Finding]:
-    """Assess state and settings of one drive.
+def judge_state(axis: Axis, readings: Readings) -> list[Finding]:
+    """Check state and constants, which are refused again when the drive is enabled.
 
     Parameters
     ----------
     axis : Axis
     readings : mapping
         (index, subindex) -> value; None if the drive has no such object.
-
-    Returns
-    -------
-    list of Finding
     """
-    return [*judge_state(axis, readings), *judge_settings(axis, readings)]
-
-
-def judge_state(axis: Axis, readings: Readings) -> list[Finding]:
-    """Check state and constants, which are refused again when the drive is enabled; parameters as `judge_axis`."""
     return _judged(axis, readings, (_state, _rated, _resolution, _conditions))
 
 
 def judge_settings(axis: Axis, readings: Readings) -> list[Finding]:
-    """Check the settings of the drive that no later step refuses; parameters as `judge_axis`."""
+    """Check the settings of the drive that no later step refuses; parameters as `judge_state`."""
     rules = (_obstacles, _mode, _torque_object, _torque_limits, _encoder, _scaling, _offsets, _watchdog)
     return _judged(axis, readings, rules)
 

@@ -22,7 +22,7 @@ from sim.pair.pair_errors import (
     ArmSheet,
     PairErrors,
     as_stated,
-    draw_of,
+    draw,
 )
 from sim.pair.rows import ArmRows, rows_of
 from sim.pair.two_arms import TwoArms
@@ -84,7 +84,7 @@ def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
     sheets = (_sheet(arms[0], rows[0]), _sheet(arms[1], rows[1]))
     errors = options.errors
     if errors is None:
-        errors = as_stated(sheets, NOMINAL_LAG_S) if options.seed is None else draw_of(options.seed, sheets)
+        errors = as_stated(sheets, NOMINAL_LAG_S) if options.seed is None else draw(options.seed, sheets)
     pair = cell.pair or {}
     part, apart = float(pair.get("part_mass_kg", 0.0)), "distance" in pair
     hands = [_fingertip(one.geometry) for one in rows]

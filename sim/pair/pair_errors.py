@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.pair.geometry import ArmGeometry, nominal_arm, translation
+from sim.pair.geometry import ArmGeometry, translation
 
 Array = NDArray[np.float64]
 
 #: The reference arm's.
 GEAR_STIFFNESS_NM_RAD = np.array([4e5, 4e5, 2.5e5, 6e4, 4e4, 2.5e4])
 RATED_TORQUE_NM = np.array([600.0, 900.0, 500.0, 120.0, 100.0, 60.0])
-GEAR_RATIO = np.array([120.0, 120.0, 100.0, 80.0, 80.0, 50.0])
 SERVO_LAG_S = (0.015, 0.017)
 LENGTH_M, TWIST_RAD, ZERO_RAD = 0.4e-3, 0.3e-3, 0.5e-3
 BASE_M, BASE_RAD = 1.0e-3, 1.0e-3
@@ -81,20 +80,7 @@ class PairErrors:
     skew_s: float
 
 
-def draw(seed: int, nominal_bases: tuple[Array, Array]) -> PairErrors:
-    """Draw the errors of both reference arms; the same seed gives the same errors.
-
-    Parameters
-    ----------
-    seed : int
-    nominal_bases : two arrays of shape (4, 4)
-        Bases of master and slave in the world [m].
-    """
-    first, second = (ArmSheet(nominal_arm(base), GEAR_STIFFNESS_NM_RAD, GEAR_RATIO) for base in nominal_bases)
-    return draw_of(seed, (first, second))
-
-
-def draw_of(seed: int, sheets: tuple[ArmSheet, ArmSheet]) -> PairErrors:
+def draw(seed: int, sheets: tuple[ArmSheet, ArmSheet]) -> PairErrors:
     """Draw the errors of the arms of two data sheets; the same seed gives the same errors."""
     rng = np.random.default_rng([seed, 0xA51])
     master, slave = (_draw_arm(rng, sheet, lag) for sheet, lag in zip(sheets, SERVO_LAG_S, strict=True))

@@ -21,24 +21,6 @@ class Rig:
     normal: Array
 
 
-def six_sensors(e1_t_e2: Array, gap_m: float) -> Rig:
-    """Beams along z (3), x (2) and y (1) of gripper 2, each a gap [m] from its plane at a relation (4, 4)."""
-    origin = np.array(
-        [
-            [0.06, 0.0, 0.0],
-            [-0.04, 0.05, 0.0],
-            [-0.04, -0.05, 0.0],
-            [0.0, 0.06, 0.02],
-            [0.0, -0.06, 0.02],
-            [0.05, 0.0, 0.03],
-        ]
-    )
-    beam = np.array([[0.0, 0.0, 1.0]] * 3 + [[1.0, 0.0, 0.0]] * 2 + [[0.0, 1.0, 0.0]])
-    turn = e1_t_e2[:3, :3]
-    hit = (origin + gap_m * beam) @ turn.T + e1_t_e2[:3, 3]
-    return Rig(origin, beam, hit, -beam @ turn.T)
-
-
 def ranges(rig: Rig, first: Array, second: Array) -> Array:
     """Distances (m, n) [m] at true fingertips (m, 4, 4) of both arms in the world."""
     origin = np.einsum("mij,nj->mni", second[:, :3, :3], rig.origin) + second[:, None, :3, 3]

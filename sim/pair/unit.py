@@ -7,7 +7,7 @@ from collections.abc import Callable
 import can
 
 from sim.cellfile import ArmSpec, CellBus
-from sim.fake_drive import DriveSite, FakeDrive
+from sim.fake_drive import FakeDrive
 from sim.measuring import FakeMeasuringDevice
 from sim.pair.two_arms import TwoArms
 from sim.plant import Payload
@@ -40,7 +40,7 @@ class PairUnit:
         self._answers: list[can.Message] | None = None
         axes = world.motors.axes[world.of_arm[index]]
         self.drives = [
-            FakeDrive(DriveSite(spec.node_id, spec, bus.sync_period_s), axis, self._send)  # type: ignore[arg-type]
+            FakeDrive(spec.node_id, spec, axis, bus.sync_period_s, self._send)  # type: ignore[arg-type]
             for spec, axis in zip(arm.axes, axes, strict=True)
         ]
         self.instruments: list[FakeMeasuringDevice] = []

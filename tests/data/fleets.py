@@ -6,11 +6,14 @@ import csv
 import os
 import signal
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from gateway.errors import DataUnusable, GatewayError
 
 FIRST = datetime(2026, 1, 1, 6, 0)
 
@@ -66,3 +69,19 @@ def slowly_doubled(number: int) -> int:
     """Twice the number, after a while in which its scheduler can go away."""
     time.sleep(0.05)
     return 2 * number
+
+
+def one_by_one(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
+    """Work in this process: a `gateway.fleet.workers.Spreading`."""
+    for item in items:
+        try:
+            yield item, function(item)
+        except GatewayError as error:
+            yield item, error
+
+
+def spoilt(item: int) -> int:
+    """Return 0 of 0; 1 is an error of the data, anything else a defect."""
+    if item == 1:
+        raise DataUnusable("too few")
+    return 0 // (item == 0)

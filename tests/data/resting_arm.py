@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 
 from gateway.data.table import Table, concatenate
-from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.rest_mistakes import Mistake
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.rest.linear import RestProblem
 from gateway.identify.solve import Basis, ByGroup
 from gateway.model.robot import Robot, robot_from_urdf
@@ -38,7 +38,7 @@ class Bench:
         self.poses = choose_poses(self.arm, poses, rng)
         self.robot: Robot = robot_from_urdf(self.arm.urdf, "drawn")
         self.seed, self.now_s, self.next_pose = seed, 0.0, 100
-        self.options = DiagnoseOptions(efficiency=self.arm.efficiency, gear_ratio=self.arm.gear_ratio)
+        self.options = Knowledge(efficiency=self.arm.efficiency, gear_ratio=self.arm.gear_ratio)
 
     def table(self, poses: np.ndarray, load: str, first: int = 0, protocol: Protocol | None = None) -> Table:
         visits = []

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from drives.access import AccessRules, NodeAccess
+from drives.access import NodeAccess
 from drives.bringup import set_mode, settle_sync_period
 from drives.errors import ConfigurationRefused, SdoAbort, SdoProtocolError, SdoTimeout, SeveralFailures
 from drives.files import replace_file
@@ -31,7 +31,7 @@ def ledger() -> WriteLedger:
 
 @pytest.fixture
 def access(bus, slave, ledger) -> Iterator[NodeAccess]:
-    node = NodeAccess(bus, 3, AccessRules("test", (0x6060, 0x6007)), ledger)
+    node = NodeAccess(bus, 3, "test", (0x6060, 0x6007), ledger)
     yield node
     node.sdo.close()
 
@@ -147,7 +147,7 @@ def test_mapping_entries_that_do_not_exist_yet_were_nothing(bus, add_slaves, set
 def test_a_drive_that_supervises_sync_expects_what_comes(bus, make_slave, ledger, writable, found_us, refused):
     slave = make_slave(3)
     slave.types[0x1006, 0], slave.values[0x1006, 0] = "u32", found_us
-    access = NodeAccess(bus, 3, AccessRules("test", (0x1006,) if writable else ()), ledger)
+    access = NodeAccess(bus, 3, "test", (0x1006,) if writable else (), ledger)
     if refused and not writable:
         with pytest.raises(ConfigurationRefused, match="SYNC every 8000 us, the master sends one every 4000 us"):
             settle_sync_period(SimpleNamespace(access=access), 0.004)
@@ -168,10 +168,10 @@ def test_what_cannot_be_put_back_stays_in_the_ledger_and_is_named(bus, add_slave
         slaves[1].refused[0x6060, 0] = 0x08000022
         with pytest.raises(SdoAbort, match="node 2:6060:00"):
             group.restore()
-        assert [(entry.node_id, entry.index) for entry in group.nodes.ledger.entries] == [(2, 0x6060)]
+        assert [(entry.node_id, entry.index) for entry in group.ledger.entries] == [(2, 0x6060)]
         slaves[1].refused.clear()
         group.restore()
-        assert group.nodes.ledger.entries == ()
+        assert group.ledger.entries == ()
     assert slaves[1].values[0x6060, 0] == 0
 
 
@@ -186,7 +186,7 @@ def test_a_drive_that_stays_enabled_is_not_put_back(bus, add_slaves, setups):
             group.restore()
         assert "node 1: is enabled: its objects are not restored" in str(refused.value)
         assert {index for index, _, _ in slaves[0].written[written:]} == {0x6040}
-        assert {entry.node_id for entry in group.nodes.ledger.entries} == {1}
+        assert {entry.node_id for entry in group.ledger.entries} == {1}
         slaves[0].state = "switch on disabled"
 
 

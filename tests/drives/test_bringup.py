@@ -14,9 +14,9 @@ def test_every_object_that_bring_up_writes_is_named_in_its_steps(bus, add_slaves
     named = {int(text, 16) for step in steps() for text in re.findall(r"0x([0-9A-F]{4})", step)}
     with DriveGroup(bus, setups(2), 0.004) as group:
         group.connect()
-        assert group.nodes.ledger.entries == ()
+        assert group.ledger.entries == ()
         group.configure()
-        written = {entry.index for entry in group.nodes.ledger.entries}
+        written = {entry.index for entry in group.ledger.entries}
     areas = {index & ~0x1FF for index in written if 0x1400 <= index < 0x1C00}
     assert written
     assert areas | {index for index in written if not 0x1400 <= index < 0x1C00} <= named

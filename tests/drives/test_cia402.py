@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
+import ast
+from pathlib import Path
+
 import pytest
 
+import drives
+import gateway
 from drives import cia402
-from drives.cia402 import Mode, NoRoute, State, decode_state, describe, next_controlword, stopping_controlword
+from drives.cia402 import (
+    Mode,
+    NoRoute,
+    State,
+    decode_state,
+    describe,
+    disabling_controlword,
+    next_controlword,
+    stopping_controlword,
+)
 
 MASKS = {  # statusword bits: mask, value (CiA 402-2, table of the states)
     State.NOT_READY: (0x4F, 0x00),
@@ -110,6 +124,58 @@ def test_stopping_never_energises(state):
     assert not word & 0x88
     if state is not State.UNDEFINED:
         assert standard(state, word) in (state, State.SWITCH_ON_DISABLED, State.QUICK_STOP_ACTIVE)
+
+
+def test_a_brake_that_closes_keeps_the_state_that_holds_its_axis():
+    for state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE):
+        assert standard(state, disabling_controlword(state, brake_closes=True)) is state
+        assert standard(state, disabling_controlword(state)) is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("state", [state for state in State if state is not State.OPERATION_ENABLED])
+def test_disabling_ends_without_voltage(state):
+    assert disabling_controlword(state) == cia402.DISABLE_VOLTAGE
+
+
+@pytest.mark.parametrize("closes", [False, True])
+def test_an_enabled_axis_closes_its_brake_before_its_voltage_goes(closes):
+    word = disabling_controlword(State.OPERATION_ENABLED, brake_closes=closes)
+    assert standard(State.OPERATION_ENABLED, word) is State.SWITCHED_ON
+
+
+#: What of the controlwords a module may use beside `cia402`, which decides them.
+USERS = {
+    "drives/enabling.py": {"next_controlword"},
+    "drives/stopping.py": {"disabling_controlword", "stopping_controlword"},
+    "drives/proof.py": {"ENABLE_OPERATION", "disabling_controlword", "next_controlword", "stopping_controlword"},
+    "drives/drive.py": {"ENABLE_OPERATION", "RESET"},  # the one that sends them
+    "drives/exchange.py": {"ENABLE_OPERATION"},  # whether an axis is under power, and moves
+    "drives/group.py": {"ENABLE_OPERATION"},  # keeps the state in a motion
+    "gateway/drivetest/answers.py": {"DISABLE_VOLTAGE", "SHUTDOWN"},  # to disabled axes, whose answers are timed
+    "gateway/drivetest/run.py": {"QUICK_STOP"},  # recognised in recorded frames
+}
+WORDS = {
+    *("DISABLE_VOLTAGE", "QUICK_STOP", "SHUTDOWN", "SWITCH_ON", "DISABLE_OPERATION", "ENABLE_OPERATION"),
+    *("FAULT_RESET", "RESET", "next_controlword", "stopping_controlword", "disabling_controlword"),
+}
+
+
+def test_controlwords_are_decided_in_one_module_and_written_by_one():
+    users: dict[str, set[str]] = {}
+    writers: set[str] = set()
+    for package in (drives, gateway):
+        top = Path(package.__file__ or "").parent
+        for path in top.rglob("*.py"):
+            name = path.relative_to(top.parent).as_posix()
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.ImportFrom) and node.module == "drives.cia402":
+                    users.setdefault(name, set()).update(alias.name for alias in node.names if alias.name in WORDS)
+                if isinstance(node, ast.ImportFrom) and node.module == "drives":
+                    assert "cia402" not in {alias.name for alias in node.names}, name
+                if isinstance(node, ast.Subscript) and ast.unparse(node) == "OBJECTS['controlword']":
+                    writers.add(name)
+    assert {name: names for name, names in users.items() if names} == USERS
+    assert writers == {"drives/drive.py"}
 
 
 def test_a_fault_cannot_be_commanded():

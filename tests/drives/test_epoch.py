@@ -201,7 +201,7 @@ def test_a_drive_that_is_only_slow_is_waited_for(group, slaves):
     for _ in range(5):
         assert step(group, slaves).complete
     assert group.statistics.incomplete == 0
-    assert group.nodes.access[1].sdo.upload(0x1000) == b"\x92\x01\x02\x00"
+    assert group.access[1].sdo.upload(0x1000) == b"\x92\x01\x02\x00"
 
 
 def test_a_question_that_is_lost_as_well_is_asked_again(group, slaves, wire):

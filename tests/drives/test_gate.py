@@ -11,6 +11,7 @@ from drives.errors import (
     ConfigurationRefused,
     DriveFault,
     DriveRebooted,
+    ForeignMaster,
     IdentityMismatch,
     SdoTimeout,
     SeveralFailures,
@@ -123,6 +124,30 @@ def test_while_a_person_is_at_the_arm_the_heartbeat_goes_on_and_a_change_is_rais
     with pytest.raises(ConfigurationRefused, match="came to rest"):
         stay_for_ten_seconds()
     assert wire.now_s < began_s + 3.7
+
+
+def test_a_drive_that_another_master_started_is_refused(slaves, waiting):
+    group, _ = waiting
+    slaves[1].heartbeat(5)  # it was sent before the drives were commanded to leave OPERATIONAL
+    assert group.gate().safe_to_approach
+    slaves[1].heartbeat(5)
+    state = group.gate()
+    assert (state.is_disabled, state.safe_to_approach) == (True, False)
+    with pytest.raises(ForeignMaster, match="OPERATIONAL") as refused:
+        state.require_approach()
+    assert refused.value.node == 2
+
+
+def test_drives_are_operational_under_power_and_not_afterwards(slaves, waiting):
+    group, _ = waiting
+    group.enable()
+    for slave in slaves:
+        slave.heartbeat(5)
+        slave.heartbeat(5)
+    group.disable()
+    for slave in slaves:
+        slave.heartbeat()
+    assert group.gate(full=True).safe_to_power
 
 
 def restart(slave, delivered, kept=lambda _index: False):

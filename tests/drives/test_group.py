@@ -147,7 +147,7 @@ def test_restore_puts_back_what_was_there_also_after_a_crash(bus, slaves, setups
     with DriveGroup(bus, setups(6), PERIOD_S, options=options) as later:
         later.connect()
         later.restore()
-        assert later.nodes.ledger.entries == ()
+        assert later.ledger.entries == ()
     for slave, old in zip(slaves, before, strict=True):
         changed = {key: (old[key], value) for key, value in slave.values.items() if value != old[key]}
         assert {key for key in changed if not (0x1600 <= key[0] < 0x1C00 and key[1] > old[key[0], 0])} == set()
@@ -384,7 +384,7 @@ def test_torque_offset_is_sent_in_per_mille_of_the_rated_torque(group, slaves):
 
 
 def test_every_write_is_in_the_ledger_with_the_old_value(group, slaves):
-    ledger = {(entry.node_id, entry.index, entry.subindex): entry for entry in group.nodes.ledger.entries}
+    ledger = {(entry.node_id, entry.index, entry.subindex): entry for entry in group.ledger.entries}
     assert ledger[1, 0x6007, 0].old == 1
     assert ledger[1, 0x6007, 0].new == 3
     assert ledger[1, 0x1800, 1].old == 0x40000181
@@ -469,7 +469,7 @@ def test_a_mapping_that_is_shifted_is_found_before_anything_moves(group, slaves,
 
 def test_only_what_the_profile_allows_is_written(group, slaves):
     with pytest.raises(ConfigurationRefused, match="6073:00.*does not allow"):
-        group.nodes.access[0].write(OBJECTS["max_current"], 100, "test")
+        group.access[0].write(OBJECTS["max_current"], 100, "test")
     assert 0x6073 not in {index for index, _, _ in slaves[0].written}
 
 

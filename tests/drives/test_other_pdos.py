@@ -45,7 +45,7 @@ def test_pdos_that_are_not_used_are_switched_off_and_put_back(bus, slaves, setup
         slave.values[index, 2] = transmission
     with configured(bus, setups(1)) as group:
         assert all(slave.values[index, 1] == cob_id | 1 << 31 for index, cob_id in found.items())
-        assert tuple(map(str, group.nodes.left_pdos)) == ()
+        assert tuple(map(str, group.left_pdos)) == ()
         group.restore()
     assert {index: slave.values[index, 1] for index in found} == found
 
@@ -77,7 +77,7 @@ def test_what_stays_on_with_sync_is_counted_into_the_load(bus, slaves, setups, l
     slave.values[0x1802, 2] = 1
     with configured(bus, chosen) as group:
         more = group.statistics.bus_load_planned_percent - before
-        assert tuple(map(str, group.nodes.left_pdos)) == ("node 1: TPDO3 (id 381, with SYNC)",)
+        assert tuple(map(str, group.left_pdos)) == ("node 1: TPDO3 (id 381, with SYNC)",)
     # 6 bytes: 47 + 48 bits, and 20 stuff bits at the worst, at 1 Mbit/s
     assert more == pytest.approx(100 * 115e-6 / PERIOD_S, rel=1e-6)
     limit = GroupOptions(load_limit_percent=before + 0.5 * more)
@@ -111,7 +111,7 @@ def test_what_stays_on_by_event_is_named_and_not_counted(bus, slaves, setups, lo
     slave.add_pdo(0x1803, 0x1A03, 0x481, [STATUSWORD])
     slave.add_pdo(0x1402, 0x1602, 0x401, [TARGET])
     with configured(bus, chosen) as group:
-        assert tuple(map(str, group.nodes.left_pdos)) == (
+        assert tuple(map(str, group.left_pdos)) == (
             "node 1: RPDO3 (id 401, by event)",
             "node 1: TPDO4 (id 481, by event)",
         )
@@ -137,10 +137,10 @@ def test_a_pdo_that_the_drive_does_not_switch_off_is_named_and_counted_and_needs
     slave.values[0x1802, 2] = 1
     read_only(slave, (0x1802, 1))
     with configured(bus, setups(1)) as group:
-        assert tuple(map(str, group.nodes.left_pdos)) == ("node 1: TPDO3 (id 381, with SYNC)",)
+        assert tuple(map(str, group.left_pdos)) == ("node 1: TPDO3 (id 381, with SYNC)",)
         assert group.statistics.bus_load_planned_percent > before
         group.restore()
-        assert group.nodes.ledger.entries == ()
+        assert group.ledger.entries == ()
 
 
 def test_a_controlword_for_a_stranger_that_the_drive_does_not_switch_off_is_refused(bus, slaves, setups):

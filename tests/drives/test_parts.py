@@ -19,7 +19,7 @@ from drives.group import DriveGroup
 from drives.heartbeat import HeartbeatProducer, HeartbeatWatch, NmtState
 from drives.ledger import LedgerEntry, WriteLedger
 from drives.objects import OBJECTS, object_name
-from drives.pdo import restore_steps, tpdo_plans
+from drives.pdo import restore_steps, tpdo_plan, tpdo_plans
 from drives.profile import ObjectReference
 from drives.profile_file import list_profiles, load_profile
 from drives.reactions import DRIVE_RULES
@@ -65,7 +65,7 @@ def test_a_torque_of_32_bits_opens_the_second_frame():
     profile = load_profile("maxon-epos4")
     wide = profile.torque.model_copy(update={"object": ObjectReference(index=0x30D1, subindex=2, type="i32")})
     plans, roles = tpdo_plans(profile.model_copy(update={"torque": wide}), 4)
-    assert [plan.cob_id for plan in plans] == [0x184, 0x284]
+    assert [plan.cob_id for plan in (*plans, tpdo_plan(3, 5, []))] == [0x184, 0x284, 0x385]
     assert [plan.size_bytes for plan in plans] == [6, 8]
     assert roles == ("statusword", "position", "torque", "velocity")
     assert [entry.mapping for entry in plans[1].entries] == [0x30D10220, 0x606C0020]
@@ -290,7 +290,7 @@ def test_nothing_is_written_when_the_ledger_cannot_be(bus, add_slaves, setups, t
     with DriveGroup(bus, setups(1), 0.004) as group:
         group.connect()
         (tmp_path / "file").touch()
-        group.nodes.ledger.path = tmp_path / "file" / "ledger.json"
+        group.ledger.path = tmp_path / "file" / "ledger.json"
         with pytest.raises(ConfigurationRefused, match="cannot be written"):
             group.configure()
         assert slaves[0].written == []

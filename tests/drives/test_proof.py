@@ -235,6 +235,30 @@ def test_a_brake_that_fails_without_voltage_is_caught_from_there(group, slaves, 
     assert 200 <= test.farthest_rad / COUNT_RAD <= 200 + 40 * (4 if not deaf else 16)
 
 
+def test_an_axis_that_falls_is_held_again_once_its_drive_is_ready(group, slaves):
+    falls = [40] * 30
+    slaves[1].moves_in = {
+        "switched on": [0] * 11 + falls,
+        "switch on disabled": falls,
+        "not ready": falls,
+        "ready": falls,
+    }
+    waits: list[int] = []
+
+    def obeys(word: int) -> bool:
+        if word == 0x06 and not waits or slaves[1].state == "not ready":
+            waits.append(word)
+            slaves[1].state = "not ready" if len(waits) < 3 else "switch on disabled"
+            return False
+        return True
+
+    slaves[1].obeys = obeys
+    test = release(group, 1, 0.5, limit_rad=200 * COUNT_RAD)
+    assert test.beyond_limit
+    assert test.held
+    assert len(waits) == 3
+
+
 def test_an_axis_that_was_tried_is_held_by_its_drive_again(group, slaves):
     """It is enabled where it is, and guarded as before; statusword bit 12, set before, may come back a while later."""
     plain = slaves[1].bytes_of

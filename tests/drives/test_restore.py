@@ -250,11 +250,11 @@ def test_a_missing_drive_does_not_keep_the_others_from_being_put_back(add_slaves
     run(group_of(nodes=(1, 2)))
     slaves[1].alive = False
     with group_of(nodes=(1, 2)) as group:
-        bringup.connect_for_restore(group.nodes)
-        (absent,) = group.nodes.failures_found
+        bringup.connect_for_restore(group)
+        (absent,) = group.failures_found
         assert absent.node == 2
         group.restore()
-        assert {entry.node_id for entry in group.nodes.noted} == {2}
+        assert {entry.node_id for entry in group.noted} == {2}
     assert slaves[0].values[0x6007, 0] == 1
 
 
@@ -320,9 +320,9 @@ def test_a_drive_without_serial_number_at_a_renamed_adapter_is_refused_until_a_p
 
     def taken_over(group: DriveGroup) -> None:
         access = group.drives[0].access
-        access.take_over(group.nodes.ledger.of_other_bus(access.device))
+        access.take_over(group.ledger.of_other_bus(access.device))
         group.restore()
-        assert group.nodes.noted == ()
+        assert group.noted == ()
 
     at("/dev/ttyACM0", DriveGroup.configure)
     assert slave.values[TORQUE] == 500

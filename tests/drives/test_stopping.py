@@ -433,10 +433,10 @@ def test_a_drive_left_energised_is_disabled_once_its_standstill_was_read_and_its
     with DriveGroup(bus, setups(1), 0.01, "real") as group:
         group.connect()
         group.restore()
-        (text,) = group.nodes.taken_down
+        (text,) = group.taken_down
         assert f"node 1: was in {state.replace('quick stop', 'quick stop active').upper()}" in text
         group.restore()
-        assert group.nodes.taken_down == ()
+        assert group.taken_down == ()
     assert slave.state == "switch on disabled"
     assert not slave.off_rad_s
     assert slave.controlwords[0] == (0x02 if state == "operation enabled" else 0x00)

@@ -262,7 +262,7 @@ def test_a_slave_with_tpdo3_on_at_5_khz(bus, slaves, setups, pacing):
     for _ in range(20):
         group.hold()
     assert bus.counts["unclaimed"] == before
-    assert tuple(map(str, group.nodes.left_pdos)) == ()
+    assert tuple(map(str, group.left_pdos)) == ()
     group.disable()
     group.restore()
     group.close()

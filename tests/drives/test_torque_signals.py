@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from drives.group import DriveGroup
-from drives.torque_signals import TorqueSignalReader, TorqueSignals, torque_signal_plan
+from drives.torque_signals import TorqueSignalReader, TorqueSignals
 from drives.values import AxisSetup
 from tests.drives.conftest import Slave
 
@@ -96,9 +96,3 @@ def test_a_frame_of_another_length_is_no_word(group, slaves, wire):
             wire.emit(0x382, bytes(length))
         group.bus.drain()
         assert reader.signals[1].torque == [0]
-
-
-def test_the_third_tpdo_has_the_identifier_of_the_standard(group):
-    """CiA 301, predefined connection set: TPDO3 is 0x380 + node id, its records are 0x1802 and 0x1A02."""
-    plan = torque_signal_plan(5, [])
-    assert (plan.cob_id, plan.communication, plan.mapping) == (0x385, 0x1802, 0x1A02)

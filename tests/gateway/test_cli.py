@@ -173,14 +173,6 @@ def test_a_file_that_is_no_result_is_refused_by_name(tmp_path, text):
     assert not (tmp_path / "r.html").exists()
 
 
-def test_a_refused_load_is_not_exported(tmp_path):
-    source = tmp_path / "out.json"
-    source.write_text(json.dumps({"schema": 1, "robot": "r", "loads": [{"label": "b", "refused": "wrong sign"}]}))
-    done = run("export", source, "--format", "abb")
-    assert done.exit_code == 6
-    assert "wrong sign" in done.stderr
-
-
 def test_profiles_list_show_and_schema():
     listed = run("profiles", "list")
     assert listed.exit_code == 0

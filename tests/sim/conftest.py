@@ -6,6 +6,7 @@ import struct
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,13 +15,17 @@ import numpy as np
 import pytest
 
 from sim.cellfile import ArmSpec, read_cell
+from sim.fake_drive import FakeDrive
 from sim.nominal import plant_of
+from sim.pair.geometry import ArmGeometry, translation, turn
+from sim.pair.pair_errors import GEAR_STIFFNESS_NM_RAD, ArmSheet
 from sim.pair.two_arms import TwoArms
 from sim.physics import ArmWorld, bullet
 from sim.plant import Plant
 from sim.serve import RunningSimulation, running
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+Start = Callable[..., AbstractContextManager[tuple["Master", RunningSimulation]]]
 CODES = {1: "B", 2: "H", 4: "I"}
 SMALL = EXAMPLES / "small" / "cell.toml"
 STANDARD_TPDO1 = (0x60410010, 0x60640020, 0x60770010)
@@ -155,6 +160,30 @@ def drives(channel: str) -> Iterator[tuple[Master, RunningSimulation]]:
 
 
 @pytest.fixture
+def start(tmp_path: Path, channel: str) -> Start:
+    """Drives of which node 2 has a fault from the beginning: `start(kind, key=value)`."""
+
+    @contextmanager
+    def begin(kind: str, pacing: str = "lockstep", timing: Path | None = None, **keys: float):
+        scenario = tmp_path / "fault.toml"
+        more = "\n".join(f"{key} = {value}" for key, value in keys.items())
+        scenario.write_text(f'[[fault]]\nkind = "{kind}"\nnode = 2\n{more}\n', encoding="utf-8")
+        with running(SMALL, f"virtual:{channel}", fault=(scenario,), pacing=pacing, timing=timing) as simulation:
+            master = Master(channel)
+            try:
+                yield master, simulation
+            finally:
+                master.bus.shutdown()
+
+    return begin
+
+
+def drive_of(simulation: RunningSimulation, node: int = 2) -> FakeDrive:
+    assert simulation.simulation is not None
+    return simulation.simulation.servers[0].drive(node)
+
+
+@pytest.fixture
 def master_on() -> Iterator[Callable[[str], Master]]:
     """Masters on virtual channels, closed after the test."""
     masters: list[Master] = []
@@ -199,6 +228,17 @@ def torques(loaded: tuple[int, int], q: np.ndarray, qd: np.ndarray | float = 0.0
     needed = bullet.calculateInverseDynamics(body, *motion, physicsClientId=client)
     bullet.disconnect(physicsClientId=client)
     return np.array(needed)
+
+
+def reference_arms() -> tuple[ArmSheet, ArmSheet]:
+    """The two equal arms of the example of a pair, 1.9 m apart along x, facing each other."""
+    d_m, a_m = np.array([0.45, 0.0, 0.0, 0.64, 0.0, 0.10]), np.array([0.15, 0.60, 0.10, 0.0, 0.0, 0.0])
+    alpha_rad, tool = np.deg2rad([90.0, 0.0, -90.0, 90.0, -90.0, 0.0]), translation(0.0, 0.0, 0.15)
+    ratio = np.array([120.0, 120.0, 100.0, 80.0, 80.0, 50.0])
+    bases = np.eye(4), translation(1.9, 0.0, 0.0) @ turn("z", np.pi)
+    arms = (ArmGeometry(d_m, a_m, alpha_rad, np.zeros(6), base, tool) for base in bases)
+    first, second = (ArmSheet(arm, GEAR_STIFFNESS_NM_RAD, ratio) for arm in arms)
+    return first, second
 
 
 def power(world: TwoArms) -> None:

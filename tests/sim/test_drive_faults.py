@@ -10,9 +10,8 @@ import can
 import numpy as np
 import pytest
 
-from sim.drive_faults import ACTIONS, act
 from sim.fake_drive import FakeDrive
-from sim.faults import KINDS, Fault
+from sim.faults import KINDS, act, fault_of
 from sim.node import OPERATIONAL, PRE_OPERATIONAL, STOPPED
 from sim.server import ABANDONED_S
 from sim.simulation import ServeOptions, Simulation
@@ -20,6 +19,8 @@ from sim.states import PdsState
 from tests.sim.conftest import SMALL
 
 NODE, PERIOD_S = 2, 0.01
+#: Starts of faults that are injected before a master connects.
+BEFORE = ("power-up", "between runs")
 
 
 class Bench:
@@ -33,8 +34,8 @@ class Bench:
         self.words: list[int] = []
         self.speeds: list[float] = []
         self._target = self.drive.position_counts()
-        if KINDS[kind].where == "object":
-            act(self.server, Fault(kind, node=NODE))
+        if KINDS[kind].starts in BEFORE:
+            act(self.server.drives, fault_of(kind, node=NODE))
         self.enable()
         self.move(20, 0.002)
 
@@ -76,6 +77,7 @@ def moves_on(bench: Bench) -> bool:
 Effect = Callable[[Bench], bool]
 EFFECTS: dict[str, Effect] = {
     "node_killed": lambda bench: bench.drive.node.unpowered and at_rest_in_its_brake(bench),
+    "node_missing": lambda bench: bench.drive.node.unpowered,
     "power_cycle": lambda bench: bench.drive.node.state == PRE_OPERATIONAL and at_rest_in_its_brake(bench),
     "reboot_keeps_all": lambda bench: bench.drive.mode == 8 and at_rest_in_its_brake(bench),
     "reboot_keeps_communication": lambda bench: bench.drive.mode == 0 and at_rest_in_its_brake(bench),
@@ -122,13 +124,14 @@ EFFECTS: dict[str, Effect] = {
     "enables_and_drops": lambda bench: bench.state is PdsState.SWITCHED_ON and not bench.drive.axis.free,
     "brake_slips": moves_on,
     "brake_falls": moves_on,
+    **{kind: moves_on for kind, about in KINDS.items() if about.reaction == "drive test"},
+    "slow_brake": moves_on,
 }
 
 
 def test_every_kind_inside_a_drive_has_its_effect_stated() -> None:
-    inside = {kind for kind, about in KINDS.items() if about.where in ("drive", "object")}
+    inside = {kind for kind, about in KINDS.items() if about.where not in ("wire", "master")}
     assert inside == set(EFFECTS)
-    assert inside <= set(ACTIONS)
 
 
 @pytest.mark.parametrize("pacing", ["lockstep", "real"])
@@ -136,9 +139,9 @@ def test_every_kind_inside_a_drive_has_its_effect_stated() -> None:
 def test_a_fault_inside_a_drive_does_what_it_says_in_both_pacings(kind: str, pacing: str) -> None:
     bench = Bench(pacing, kind)
     others = [drive for drive in bench.server.drives if drive.node_id != NODE]
-    if KINDS[kind].where == "drive":
+    if KINDS[kind].starts not in BEFORE:
         assert moves_on(bench)
-        act(bench.server, Fault(kind, node=NODE))
+        act(bench.server.drives, fault_of(kind, node=NODE))
     if kind == "heartbeat_ignored":
         bench.drive.node.on_heartbeat_lost(127)
     bench.move(40, 0.002)
@@ -162,7 +165,7 @@ def test_a_reboot_keeps_what_its_kind_says(kind: str, kept: tuple[int, ...]) -> 
     write(0x1017, 0, (250).to_bytes(2, "little"))
     write(0x1800, 2, b"\x01")
     write(0x6072, 0, (500).to_bytes(2, "little"))
-    act(bench.server, Fault(kind, node=NODE))
+    act(bench.server.drives, fault_of(kind, node=NODE))
     held = [int.from_bytes(bench.drive.store.read(*each), "little") for each in ((0x1017, 0), (0x1800, 2), (0x6072, 0))]
     assert (held[0], held[1], bench.drive.mode, held[2]) == kept
     bench.close()
@@ -194,7 +197,7 @@ def test_in_lockstep_drives_stop_by_themselves_once_the_master_is_gone(monkeypat
 
 def test_a_drive_does_not_notice_that_its_brake_falls_in() -> None:
     bench = Bench("lockstep", "brake_engaged")
-    act(bench.server, Fault("brake_engaged", node=NODE))
+    act(bench.server.drives, fault_of("brake_engaged", node=NODE))
     bench.move(5, 0.002)
     follows = bench.drive.statusword() & 1 << 12
     bench.close()

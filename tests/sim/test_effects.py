@@ -186,7 +186,7 @@ def test_a_constant_pull_does_work_along_the_path_of_its_point(plant, chain):
     assert changed.passive_torque(Q, 0.0, np.zeros(6)) @ (2 * step) == pytest.approx(moved @ force, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", sorted(OFF_LIBRARY))
+@pytest.mark.parametrize("name", sorted(set(OFF_LIBRARY) - {"world_hose", "bungee"}))
 def test_off_library_effect_acts(name, plant, chain):
     parameters = {"amplitude_nm": 5.0, "stiffness_nm_rad2": 5.0, "stiffness_nm": 5.0, "angle_rad": -2.0}
     parameters |= {"coefficient": 0.1, "reference_nm": 100.0}

@@ -71,11 +71,6 @@ def test_a_gear_at_rest_may_stand_anywhere_between_driving_and_driven_back():
     assert settle(gear(efficiency=efficiency), tau * efficiency - 0.1, tau) < 0.0
 
 
-def test_half_width_of_the_band():
-    friction = gear(stiction_nm=3.0, load_friction=0.1, efficiency=0.8)
-    assert friction.half_width_nm(-50.0, 20.0) == pytest.approx(3.0 + 2.0 + 50.0 * (1 / 0.8 - 0.8) / 2)
-
-
 def test_a_stuck_joint_creeps_with_the_torque_that_friction_holds_and_comes_to_rest():
     friction = gear(stiction_nm=5.0, coulomb_nm=5.0, creep_rad_s=1e-4)
     angle, omega, speeds = 0.0, 0.0, []

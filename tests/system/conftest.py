@@ -156,8 +156,9 @@ def serve(place) -> Iterator[Callable[..., Drives]]:
             options: dict[str, object] = {"pacing": pacing}
             for key, text in (("fault", fault), ("undeclared", effect)):
                 if text:
-                    options[key] = place.folder / f"{key}.toml"
-                    (place.folder / f"{key}.toml").write_text(text, encoding="utf-8")
+                    path = place.folder / f"{key}.toml"
+                    path.write_text(text, encoding="utf-8")
+                    options[key] = (path,) if key == "fault" else path
             return stack.enter_context(started(**options))
 
         yield start

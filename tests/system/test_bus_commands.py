@@ -41,7 +41,7 @@ def test_scan_and_check_of_a_healthy_cell(place, gateway, serve):
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
-        ("node_missing", "does not answer"),
+        ("node_missing", "no device answers"),
         ("duplicate_node", "2 devices answer"),
         ("rated_zero", "all torques"),
         ("wrong_rated", "Nm at the joint"),

@@ -79,6 +79,37 @@ def test_the_check_stops_the_job_before_anything_moves(place, serve, commission)
     assert not (place.folder / "out" / "run.h5").exists()
 
 
+@pytest.mark.parametrize(
+    ("command", "more", "names"),
+    [
+        ("commission", (), ("run.h5", "warm-up.h5", "result.json", "report.html")),
+        ("commission", ("--repeat", "2"), ("01/run.h5", "repeatability.json")),
+        ("calibrate", ("--known", "load=6,0.02,0.01,0.1"), ("calibrate.h5",)),
+    ],
+)
+def test_earlier_files_keep_their_names_where_a_person_does_not_agree(place, serve, gateway, command, more, names):
+    out = place.folder / "out"
+    for name in names:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text("earlier")
+    done = gateway(command, place.cell, "--bus", serve().bus, "--out", out, *more, input="n\n")
+    assert done.exit_code == 130, done.output
+    assert {str(path.relative_to(out)) for path in out.rglob("*.*")} == set(names)
+    assert "Measured data" not in done.stderr
+
+
+@pytest.mark.slow
+def test_earlier_files_are_renamed_once_a_person_has_agreed(place, serve, commission, fast_arm):
+    with_few_poses(place)
+    out = place.folder / "out"
+    out.mkdir()
+    (out / "run.h5").write_text("earlier")
+    code, _, _, output = commission(fast_arm(serve()), mounts=False)
+    assert code == 130
+    assert (out / "run.1.h5").read_text() == "earlier"
+    assert "Measured data" in output.err
+
+
 @pytest.mark.slow
 def test_no_person_is_called_to_an_arm_whose_brake_does_not_hold(place, serve, commission, fast_arm):
     with_few_poses(place)

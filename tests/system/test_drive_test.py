@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections import deque
 
+import numpy as np
 import pytest
 
 from benchmarks.chaos.programs import TRIES
 from benchmarks.chaos.sleeper import watched
+from gateway.data.blackbox.box import read_box
 from gateway.preflight import machine
-from sim.drive_defects import DEFECTS
+from sim.faults import act, fault_of
 
 pytestmark = pytest.mark.system
 #: A sleeper that is woken with a larger delay shows that this computer did not keep its time [s].
@@ -91,8 +93,30 @@ def test_a_defect_of_one_drive_is_found_there_alone(tested, defect, name, low, h
 
 
 @pytest.mark.slow
+def test_the_motion_of_a_single_axis_obeys_the_override(tested):
+    """While the others rest, J2 turns with a share of its speed of 0.0225 + 0.0075 + 0.0125 rad/s at most."""
+    places = []
+
+    def watched_positions(drives):
+        (arm,) = drives.handle.simulation.arms
+        answer = arm.drives[0].sync
+
+        def sync():
+            places.append([axis.position_rad for axis in arm.world.axes])
+            answer()
+
+        arm.drives[0].sync = sync
+
+    tested("--axis", "J2", "--override", "50", prepare=watched_positions)
+    speed_rad_s = np.abs(np.diff(places, axis=0)) / 0.01
+    alone = (speed_rad_s[:, 1] > 0.002) & (np.delete(speed_rad_s, 1, axis=1).max(axis=1) < 1e-4)
+    assert alone.sum() > 200
+    assert 0.4 * 0.0425 < np.quantile(speed_rad_s[alone, 1], 0.99) < 0.6 * 0.0425
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "named"), [("J3", True), ("J2", False)])
-def test_a_failed_proof_ends_the_test_also_of_a_drive_that_is_not_tested(tested, axis, named):
+def test_a_failed_proof_ends_the_test_also_of_a_drive_that_is_not_tested(tested, place, axis, named):
     fault = '[[fault]]\nkind = "heartbeat_ignored"\nnode = 3\n'
     done, reports, _, drives = tested("--axis", axis, code=7, fault=fault)
     report = reports[axis]
@@ -101,6 +125,9 @@ def test_a_failed_proof_ends_the_test_also_of_a_drive_that_is_not_tested(tested,
     missing = {each["name"]: each["method"] for each in report["figures"] if each["value"] is None}
     assert {"quick_stop_time_s", "quick_stop_angle_rad", "fault_reaction_time_s", "torque_age_s"} <= missing.keys()
     assert "nothing moves any more" in missing["torque_age_s"]
+    (box,) = (place.folder / "state" / "servo-gateway").glob("*.blackbox.h5")
+    assert box.name in done.stderr
+    assert "J3 node 3" in read_box(box).reason
     assert drives.stand_still()
 
 
@@ -116,7 +143,7 @@ def test_answers_of_disabled_drives_are_findings_of_the_drive_and_nothing_moves_
         (arm,) = drives.handle.simulation.arms
         before[:] = [axis.position_rad for axis in arm.world.axes]
         for number, name in ((1, "delayed_rpdo"), (2, "delayed_controlword"), (3, "every_second_sync")):
-            DEFECTS[name].install(arm.drives[number])
+            act(arm.drives, fault_of(name, node=arm.drives[number].node_id))
 
     words = ("--axis", "J2", "--axis", "J3", "--axis", "J4", "--axis", "J5", "--pacing", "real")
     before, found = [], {}

@@ -21,8 +21,7 @@ from gateway.commands.guided import Terminal
 from gateway.commands.motion_options import MoveChoice
 from gateway.commands.shared_options import confirm
 from gateway.motion.stops import StoppedByPerson
-from sim.drive_faults import act
-from sim.faults import Fault
+from sim.faults import act, fault_of
 from sim.states import PdsState
 from tests.support.rigs.brakes import in_brakes
 
@@ -160,7 +159,7 @@ def test_what_happens_while_a_load_is_mounted_is_read_from_the_drives(
         if happens.startswith("energised"):
             drive.automaton.state = PdsState.OPERATION_ENABLED
         elif happens != "stop":
-            act(simulation.servers[0], Fault(happens, node=3))
+            act(simulation.servers[0].drives, fault_of(happens, node=3))
         done.set()
 
     def answer() -> str:

@@ -171,17 +171,3 @@ def _check_use(place, gateway, drives, result):
     followed = read_follow(out)
     peak = {setting.name: np.array(setting.peak_rad) for setting in followed.settings}
     assert (peak["identified"][[1, 2]] < 0.1 * peak["off"][[1, 2]]).all()
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--moving", "--pose", "0,0,0,0,0,0"], "give one of them"),
-        (["--rate", "100"], "need --moving"),
-        (["--moving", "--plan", "nowhere.json"], "nowhere.json"),
-    ],
-)
-def test_what_does_not_fit_together_is_refused(place, gateway, options, says):
-    refused = gateway("record", place.cell, "--load", "none", "-o", place.run, *options)
-    assert refused.exit_code in (2, 3)
-    assert says in refused.output

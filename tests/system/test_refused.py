@@ -22,30 +22,6 @@ def complains(done, code, *says):
 # ------------------------------------------------------------------------------------------ files, no bus needed
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (("gear_efficiency", "gear_efficency"), ["J1: gear_efficency", "unknown key"]),
-        (("flange_xyz_m", "flange_xyz_mm"), ["flange_xyz_mm", "units are part of the name"]),
-        (('gear_ratio = { value = 120, source = "datasheet p. 7" }\n', ""), ["gear_ratio", "is missing"]),
-        (("value = 120, source", "value = 0, source"), ["gear_ratio must not be 0"]),
-        (("[poses]", "[poses"), ["not valid TOML"]),
-        (('robot = "robot.urdf"', 'robot = "nowhere.urdf"'), ["nowhere.urdf", "cannot be read"]),
-    ],
-)
-def test_a_cell_that_cannot_be_used(place, gateway, change, says):
-    done = gateway("plan", place.variant("bad", change))
-    complains(done, 3, *says)
-
-
-def test_a_robot_that_is_no_chain_of_six(place, gateway):
-    text = (place.folder / "robot.urdf").read_text()
-    (place.folder / "robot.urdf").write_text(text.replace('type="revolute"', 'type="prismatic"', 1))
-    complains(gateway("plan", place.cell), 3, "robot.urdf")
-    (place.folder / "robot.urdf").write_text("<robot")
-    complains(gateway("plan", place.cell), 3, "robot.urdf")
-
-
 def test_a_profile_with_a_missing_constant(place, gateway, serve):
     from drives.profile_file import load_profile
 

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.estimate import run as estimate
 from gateway.identify.drift import AGAIN
-from gateway.pipeline.inputs import ModelRequest, collect_inputs, estimate_options, read_rows, split_validation
+from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows, split_validation
 from tests.system.conftest import with_few_poses
 
 pytestmark = pytest.mark.system
@@ -32,7 +32,7 @@ def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serv
     def off_kg(chosen) -> float:
         """Off what the drives showed of the load halfway through these rows, by differences that model no drift."""
         rows = table.take(chosen)
-        (load,) = estimate(rows, about.model, estimate_options(about), "difference").loads
+        (load,) = estimate(rows, about.model, about.knowledge, "difference").loads
         return load.mass_kg - TRUTH_KG * (1.0 + PER_S * rows.time_s.mean())
 
     again = table.pose >= AGAIN
@@ -44,9 +44,3 @@ def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serv
     assert {"J2", "J3"} <= set(findings)
     (load,) = result["loads"]
     assert abs(load["mass_kg"] - TRUTH_KG) < 4 * load["mass_std_kg"]
-
-
-def test_what_does_not_go_together_is_refused(commission, serve):
-    for more in (("--thermal", "--until", "mass=1%"), ("--warm-up", "3")):
-        code, result, hands, _ = commission(serve(), *more)
-        assert (code, result, hands.asked) == (2, None, [])

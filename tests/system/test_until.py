@@ -46,9 +46,6 @@ def test_a_load_is_measured_until_it_is_known(place, gateway, serve, fast_arm):
 
 def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway):
     for load, more, code, says in (
-        ("load", ("--until", "mass=1"), 3, "lacks its unit"),
-        ("load", ("--until", "mass=1%"), 3, "holds no visit of the unloaded arm"),
-        ("none", ("--until", "mass=1%"), 3, "is the unloaded arm"),
         ("load", ("--until", "mass=1%", "--pose", "0,0,0,0,0,0"), 2, "omit --pose and --next"),
         ("load", ("--bare", "r.json"), 2, "give --until as well"),
         ("load", ("--until", "mass=1%", "--bare", place.folder / "none.json"), 3, "none.json"),

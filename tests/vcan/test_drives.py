@@ -23,8 +23,8 @@ from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.session import RecordRequest, record
 from gateway.data.recording.reader import read
 from gateway.motion import opening
-from gateway.motion.opening import BusOverride, axis_setups, open_arm
-from sim.faults import Fault
+from gateway.motion.opening import axis_setups, open_arm
+from sim.faults import fault_of
 from tests.support.independent_drives import PATIENCE
 
 #: An emulated processor that others use as well answers with delay; nothing here is about time.
@@ -74,7 +74,7 @@ def test_bring_up_and_a_short_recording(
 ) -> None:
     monkeypatch.setattr(opening, "GroupOptions", partial(GroupOptions, **PATIENCE_S))
     path = tmp_path / "run.h5"
-    with open_arm(served.loaded, BusOverride(spec, ledger=tmp_path / "ledger.json")) as opened:
+    with open_arm(served.loaded, spec, ledger=tmp_path / "ledger.json") as opened:
         plan = plan_of_poses(opened.loaded, opened.config, opened.workspace, poses(2))
         summary = record(opened, plan, RecordRequest("none", path))
     assert summary.visits == 4
@@ -93,7 +93,7 @@ def test_frames_that_come_back_are_not_another_master(served: Drives, spec: BusS
 
 def test_answers_in_any_order_make_whole_epochs(served: Drives, spec: BusSpec) -> None:
     with enabled(served, spec) as group:
-        served.ask("arm", Fault("tpdo_reordered", syncs=0, seed=4), 1)
+        served.ask("arm", fault_of("tpdo_reordered", syncs=0, seed=4), 1)
         epochs = [group.hold() for _ in range(15)]
     assert all(epoch.complete for epoch in epochs)
     for epoch in epochs:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.diagnose.moving.choice import Choice, MovingKnowledge, choose, plain_choice, problem_of
+from gateway.diagnose.moving.choice import Choice, choose, plain_choice, problem_of
 from gateway.diagnose.moving.deflection import elastic_joints
 from gateway.diagnose.moving.judge import Judges
 from gateway.diagnose.moving.lag import lags, prepare_in_step
@@ -29,27 +29,38 @@ from gateway.diagnose.moving.residual_motion_dependence import structured_axes
 from gateway.diagnose.moving.select import left_over, weigh
 from gateway.diagnose.moving.splits import judging
 from gateway.diagnose.moving.state import MovingState, state_of
-from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
-from gateway.identify.links import default_inertials, has_inertials, parse_inertials
+from gateway.identify.knowledge import Knowledge
+from gateway.identify.links import has_inertials
 from gateway.identify.prior_loads import BARE_LABEL, unknown_labels
-from gateway.identify.rest.problem import EXACT, Knowledge
+from gateway.identify.rest.problem import EXACT
+from gateway.model.effects import LIBRARY
 from gateway.model.motion import MovingRows
 from gateway.model.robot import Robot
+from gateway.model.term import Label
 from gateway.result.result import Result
 
 Floats = NDArray[np.float64]
 
 
-def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
+def diagnose_motion(
+    table: Table,
+    robot: Robot,
+    knowledge: Knowledge,
+    *,
+    holdout: Table | None = None,
+    only: frozenset[str] = frozenset(),
+    without: frozenset[str] = frozenset(),
+) -> Result:
     """Find the effects that the model lacks on moving rows.
 
     Parameters
     ----------
     table : Table
-        Rows that do not move are ignored.
+        Torque behind the gears; rows that do not move are ignored.
     robot : Robot
-    options : DiagnoseOptions
+    knowledge : Knowledge
+    holdout, only, without : as of `diagnose`
 
     Raises
     ------
@@ -57,79 +68,80 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
         No axis moves while its torque is measured, or the hold-out rows have unknown loads only.
     InputError
         A known load that is not in the data.
-    ConfigError
-        `inertials` is not understood.
     """
-    delay_s = lags(table, robot, options)
-    gravity_m_s2 = np.asarray(options.gravity_m_s2)
-    motion = prepare_in_step(table, options.holdout, robot, gravity_m_s2, delay_s)
-    unknown_labels(np.unique(motion.load), options.known)
-    motion = _predictable(motion, options.known)
-    trust, free = _trust(robot, options.inertials)
-    stated = Knowledge(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
-    knowledge = MovingKnowledge(_allowed(options), trust, free, stated)
+    delay_s, known = lags(table, robot, knowledge), knowledge.known
+    gravity_m_s2 = np.asarray(knowledge.gravity_m_s2)
+    motion = prepare_in_step(table, holdout, robot, gravity_m_s2, delay_s)
+    unknown_labels(np.unique(motion.load), known)
+    motion = _predictable(motion, known)
+    allowed = (only or frozenset(LIBRARY)) - without
+    if "current_rms_peak" in only - without:
+        allowed |= {"torque_constant_scale"}  # a factor between peak and rms current is found as a scale
+    # the search allows for the usual changes of the torque readings, also of a warm arm
+    trust, searched = _trust(robot, knowledge), replace(knowledge, change=1.0)
     if (~motion.held_out).sum() < MOVING.fewest_rows or motion.duration_s < MOVING.shortest_s:
-        problem = problem_of(motion, trust, knowledge)
-        answer = answer_of(table, robot, _knowledge_for_fit(robot, options, MOVING.usual_trust), (), delay_s)
+        problem = problem_of(motion, trust, searched)
+        answer = answer_of(table, robot, _knowledge_for_fit(robot, knowledge, MOVING.usual_trust), (), delay_s)
         return too_little(problem, state_of(problem, ()), answer)
-    found, judges = _judged(motion, knowledge)
+    found, judges = _judged(motion, trust, searched, allowed)
     refuted = frozenset(item.label for item in found.mistakes if not judges.mistake(item).below_one)
     if refuted:
-        found, judges = _judged(motion, replace(knowledge, refuted=refuted))
-    outcome = replace(_outcome(found, judges, knowledge), refuted=refuted)
-    if "joint_elasticity" not in knowledge.allowed:
-        return _written(outcome, table, robot, options)
+        found, judges = _judged(motion, trust, searched, allowed, refuted)
+    outcome = replace(_outcome(found, judges, allowed, free=knowledge.link_std is None), refuted=refuted)
+    if "joint_elasticity" not in allowed:
+        return _written(outcome, table, robot, knowledge)
     wound = elastic_joints(outcome.problem, outcome.after, judges.pairs)
     if wound and not found.mistakes:
         stiff = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
-        held = options.holdout and replace(options.holdout, q2nd_rad=np.full_like(options.holdout.q2nd_rad, np.nan))
-        by_motor = _predictable(prepare_in_step(stiff, held, robot, gravity_m_s2, delay_s), options.known)
-        as_read = problem_of(by_motor, outcome.problem.null.trust, knowledge)
+        held = holdout and replace(holdout, q2nd_rad=np.full_like(holdout.q2nd_rad, np.nan))
+        by_motor = _predictable(prepare_in_step(stiff, held, robot, gravity_m_s2, delay_s), known)
+        as_read = problem_of(by_motor, outcome.problem.null.trust, searched)
         parts = judging(by_motor, MOVING.judged_blocks)
-        read = Judges(tuple(plain_choice(part, outcome.problem.null.trust, knowledge) for part in parts))
+        read = Judges(tuple(plain_choice(part, outcome.problem.null.trust, searched) for part in parts))
         outcome = replace(outcome, as_read=state_of(as_read, ()), held_before=read.before())
-    return _written(replace(outcome, wound=wound), table, robot, options)
+    return _written(replace(outcome, wound=wound), table, robot, knowledge)
 
 
-def _written(outcome: MovingOutcome, table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
+def _written(outcome: MovingOutcome, table: Table, robot: Robot, stated: Knowledge) -> Result:
     """Build the result, with loads from an estimate without effects and from one with the named effects."""
     problem, state = outcome.reported
     sound = undo(table, [mistake for mistake, _ in outcome.mistakes])
-    knowledge, delay_s = _knowledge_for_fit(robot, options, problem.null.trust), problem.motion.delay_s
+    knowledge, delay_s = _knowledge_for_fit(robot, stated, problem.null.trust), problem.motion.delay_s
     plain = answer_of(sound, robot, knowledge, (), delay_s)
     return result_of(outcome, plain, answer_of(sound, robot, knowledge, state.terms, delay_s) if state.terms else plain)
 
 
-def _knowledge_for_fit(robot: Robot, options: DiagnoseOptions, trust: float | None) -> Knowledge:
-    """Knowledge for a fit: CAD uncertainty from the options, else as chosen from the rows."""
-    inertials = options.inertials
-    if inertials is None:
-        usual = trust == MOVING.usual_trust or not has_inertials(robot)
-        inertials = default_inertials(robot) if usual else "ignore" if trust is None else f"prior:{trust:g}"
-    return Knowledge(
-        inertials,
-        options.known,
-        gravity_m_s2=options.gravity_m_s2,
-        gain_std=options.gain_std,
-        change=options.change,
-    )
+def _knowledge_for_fit(robot: Robot, stated: Knowledge, trust: float | None) -> Knowledge:
+    """Knowledge for a fit: CAD uncertainty as stated, else as chosen from the rows."""
+    if trust == MOVING.usual_trust or not has_inertials(robot):
+        return stated.of_robot(robot)
+    return replace(stated, link_std=np.inf if trust is None else trust) if stated.link_std is None else stated
 
 
-def _judged(motion: MovingRows, knowledge: MovingKnowledge) -> tuple[Choice, Judges]:
+def _judged(
+    motion: MovingRows,
+    trust: float | None,
+    knowledge: Knowledge,
+    allowed: frozenset[str],
+    refuted: frozenset[Label] = frozenset(),
+) -> tuple[Choice, Judges]:
     """Return the model chosen from all fitted rows, and the choices that the held-out rows validate."""
-    found = choose(motion, knowledge)
+    found = choose(motion, trust, knowledge, allowed, refuted)
     if motion.held_out.any():
         return found, Judges((found,))
-    near = replace(knowledge, trust=found.problem.null.trust) if knowledge.free else knowledge
-    return found, Judges(tuple(choose(part, near) for part in judging(motion, MOVING.judged_blocks)))
+    near, parts = found.problem.null.trust, judging(motion, MOVING.judged_blocks)
+    return found, Judges(tuple(choose(part, near, knowledge, allowed, refuted) for part in parts))
 
 
-def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> MovingOutcome:
-    """Divide the effects into those that odds and held-out rows confirm, and others."""
+def _outcome(found: Choice, judges: Judges, allowed: frozenset[str], *, free: bool) -> MovingOutcome:
+    """Divide the effects into those that odds and held-out rows confirm, and others.
+
+    `free` is True if the rows may choose the standard deviation of the links.
+    """
     problem, state = found.problem, found.state
     chosen = [
         replace(item, held=judges.effect(item.label, item.axes(problem.motion.axes), problem.noise.sigma_nm))
-        for item in weigh(problem, state, knowledge.allowed)
+        for item in weigh(problem, state, allowed)
     ]
     refuted = tuple(item for item in chosen if not item.held.below_one or (item.contested and not item.rival))
     open_ones = [item for item in chosen if item not in refuted]
@@ -138,12 +150,12 @@ def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> Movin
     if len(accepted) < len(chosen) and (accepted or refuted):
         state = state_of(problem, [term for item in accepted for term in item.terms])
     kept = {term.label for term in state.terms}
-    rejected = left_over(problem, state, knowledge.allowed)
+    rejected = left_over(problem, state, allowed)
     if problem.motion.held_out.any():
         judges = Judges((replace(found, state=state),))
     as_read = state_of(found.as_read, ()) if found.mistakes else None
     return MovingOutcome(
-        reported=_reported_model(problem, state, knowledge),
+        reported=_reported_model(problem, state) if free else (problem, state),
         problem=problem,
         before=state_of(problem, ()),
         after=state,
@@ -160,21 +172,13 @@ def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> Movin
     )
 
 
-def _reported_model(
-    problem: MovingProblem, state: MovingState, knowledge: MovingKnowledge
-) -> tuple[MovingProblem, MovingState]:
+def _reported_model(problem: MovingProblem, state: MovingState) -> tuple[MovingProblem, MovingState]:
     """Return the model for the reported values, with the usual CAD uncertainty if the rows do not contradict it."""
     trust = problem.null.trust
-    if not knowledge.free or trust is None or trust >= MOVING.usual_trust:
+    if trust is None or trust >= MOVING.usual_trust:
         return problem, state
     usual = replace(problem, null=problem.null.trusting(MOVING.usual_trust))
     return usual, state_of(usual, state.terms)
-
-
-def _allowed(options: DiagnoseOptions) -> frozenset[str]:
-    """Names of effects to try; a factor between peak and rms current is found as a scale."""
-    peak = "current_rms_peak" in options.only and "current_rms_peak" not in options.without
-    return options.allowed | {"torque_constant_scale"} if peak else options.allowed
 
 
 def _predictable(motion: MovingRows, known: Collection[str]) -> MovingRows:
@@ -192,10 +196,8 @@ def _predictable(motion: MovingRows, known: Collection[str]) -> MovingRows:
     return replace(motion, judged=motion.judged & ~strange[:, None])
 
 
-def _trust(robot: Robot, inertials: str | None) -> tuple[float | None, bool]:
-    """Initial relative standard deviation of the CAD values, and True if the data may change it."""
-    if inertials == "ignore" or not has_inertials(robot):
-        return None, False
-    if inertials is None:
-        return MOVING.first_trust, True
-    return max(parse_inertials(inertials), EXACT), False
+def _trust(robot: Robot, knowledge: Knowledge) -> float | None:
+    """Initial relative standard deviation of the CAD values, None = CAD values unknown."""
+    if np.isinf(knowledge.trust) or not has_inertials(robot):
+        return None
+    return MOVING.first_trust if knowledge.link_std is None else max(knowledge.link_std, EXACT)

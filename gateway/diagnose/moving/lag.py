@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
 from gateway.estimate.moving_estimate import estimate_moving
-from gateway.estimate.options import EstimateOptions
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.stretches import Stretches
 from gateway.model.motion import LARGEST, MovingRows, prepare
 from gateway.model.robot import Robot
@@ -33,16 +32,16 @@ _OF_ROWS: Final = ("q_rad", "qd_rad_s", "qdd_rad_s2", "judged", "sign", "rigid")
 _OF_AXES: Final = ("speed_rad_s", "floor_nm")
 
 
-def lags(table: Table, robot: Robot, options: DiagnoseOptions) -> Floats:
+def lags(table: Table, robot: Robot, knowledge: Knowledge) -> Floats:
     """Delay (N,) [s] of each axis's torque against its position; 0 where no delay is significant.
 
     The links are free in that fit, so that a delay cannot compensate for wrong CAD values.
     """
     moving = table.take(table.moving)
-    stated = EstimateOptions(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
+    free = replace(knowledge.of_loads(moving.load), link_std=np.inf, change=1.0)
     found = np.zeros(table.axes)
     try:
-        motions = estimate_moving(moving, robot, stated.of_loads(moving.load)).motion
+        motions = estimate_moving(moving, robot, free).motion
     except DataUnusable:  # too little for an estimation: the diagnosis says so itself
         return found
     for one in motions:

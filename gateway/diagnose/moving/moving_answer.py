@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from gateway.data.table import Table
 from gateway.diagnose.moving.lag import prepare_in_step
 from gateway.errors import DataUnusable
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import load_result, refused_load
 from gateway.identify.motion.columns import MovingSetup
 from gateway.identify.motion.effects import Effects
 from gateway.identify.motion.moving_fit import fit_motion
 from gateway.identify.motion.moving_results import loads_of, nuisances
 from gateway.identify.prior_loads import unknown_labels
-from gateway.identify.rest.problem import Knowledge
 from gateway.model.robot import Robot
 from gateway.model.term import Term
 from gateway.result.result import Finding, LoadResult, NuisanceResult

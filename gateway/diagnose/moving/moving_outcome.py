@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.cell.quantities import inertials_text
 from gateway.diagnose.held_out_residuals import Held, listed
 from gateway.diagnose.moving.moving_answer import MovingAnswer
 from gateway.diagnose.moving.moving_findings import (
@@ -196,7 +197,7 @@ def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, obj
         "rows_judged": [int(x) for x in motion.judged.sum(axis=0)],
         "holdout_blocks": len(outcome.judges.choices),
         "held_out": HELD_OUT["given" if motion.held_out.any() else _blocks(problem)],
-        "inertials": "ignore" if trust is None else f"prior:{trust:g}",
+        "inertials": inertials_text(np.inf if trust is None else trust),
         "rows_that_count": listed(problem.noise.share * motion.judged.sum(axis=0)),
         "candidates_tried": _tried(outcome),
     }

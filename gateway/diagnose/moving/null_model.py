@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.moving_noise import axis_alone
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.columns import NUISANCES, Columns, MovingSetup, moving_columns
 from gateway.identify.motion.convergence import HELD_STD
 from gateway.identify.motion.prior import held_to_friction
 from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.prior_loads import BARE_LABEL, unknown_labels
-from gateway.identify.rest.problem import Knowledge
 from gateway.model.base import moving_base
 from gateway.model.motion import MovingRows, rounding_rad_s
 from gateway.model.robot import SHORTEST_M
@@ -124,7 +124,7 @@ def null_model(motion: MovingRows, trust: float | None, knowledge: Knowledge) ->
     nothing = {label: (0.0, 0.0, 0.0, 0.0) for label in unknown if label not in free}
     stated = replace(
         knowledge,
-        inertials="ignore" if trust is None else f"prior:{trust!r}",
+        link_std=np.inf if trust is None else trust,
         known={**knowledge.known, **nothing},
     )
     setup = MovingSetup(smooth_rad_s=rounding_rad_s(motion.speed_rad_s), nuisances=SEARCHED)

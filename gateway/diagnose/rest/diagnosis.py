@@ -11,13 +11,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.cell.quantities import inertials_text
 from gateway.data.table import Table
-from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.bias import friction_by_direction
 from gateway.diagnose.rest.deflection import elastic_joints
 from gateway.diagnose.rest.formula import Formulas, candidate_formula, searched_formulas
 from gateway.diagnose.rest.holdout import Unseen, predicted, prediction_covariance
-from gateway.diagnose.rest.pose_selection import questions
+from gateway.diagnose.rest.pose_selection import PoseChoice, questions
 from gateway.diagnose.rest.residual_structure import structure_seen_nm
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.rest_findings import at_the_edge, corrected_links, limits
@@ -54,18 +54,18 @@ from gateway.estimate.handover import reversed_signs
 from gateway.estimate.joint import estimate_joint
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies, without_placeholder
 from gateway.identify.gravity_sign import reversed_gravity
-from gateway.identify.links import parse_inertials
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import REFUSED, refused_findings
 from gateway.identify.mass_change import mass_changes
 from gateway.identify.prior_loads import BARE_LABEL, require_postures
 from gateway.identify.rejected import RejectedTorques, rejected_torques
 from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem, visit_loads
-from gateway.identify.rest.problem import Knowledge, build_problem, sides_unknown
+from gateway.identify.rest.problem import build_problem, sides_unknown
 from gateway.identify.rest.rest_loads import loads_of, nuisance_results, spread_by_shape
 from gateway.identify.rest.start_noise import settled_noise
 from gateway.model.effect import RestSetup
-from gateway.model.effects import terms_at_rest
+from gateway.model.effects import LIBRARY, terms_at_rest
 from gateway.model.robot import Robot
 from gateway.model.unnamed import unnamed_terms
 from gateway.model.visits import Visits, joined, pair_visits
@@ -145,15 +145,26 @@ class Found:
 
 
 class RestDiagnosis:
-    """Diagnosis of rest visits in two steps: search, then report with or without held-out rows."""
+    """Diagnosis of rest visits in two steps: search, then report with or without held-out rows.
 
-    def __init__(self, robot: Robot, options: DiagnoseOptions) -> None:
-        self.robot, self.options, self.as_estimate = robot, options, options.as_estimate(robot)
-        parse_inertials(self.as_estimate.inertials)
-        self.knowledge, self.placeholder = without_placeholder(robot, self.as_estimate)
+    The parameters are those of `diagnose`. `stated` is the knowledge as it is stated, `knowledge` that in use.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        knowledge: Knowledge,
+        *,
+        only: frozenset[str] = frozenset(),
+        without: frozenset[str] = frozenset(),
+        pose_choice: PoseChoice = None,
+    ) -> None:
+        self.robot, self.stated, self.pose_choice = robot, knowledge.of_robot(robot), pose_choice
+        self.allowed = (only or frozenset(LIBRARY)) - without
+        self.knowledge, self.placeholder = without_placeholder(robot, self.stated)
 
     def _rows(self, table: Table) -> Visits:
-        return pair_visits(table, self.options.efficiency, self.options.coupling)
+        return pair_visits(table, self.stated.efficiency, self.stated.coupling)
 
     def outliers(self, rows: Visits) -> RejectedTorques:
         """Outliers of the uncorrected visits."""
@@ -184,7 +195,7 @@ class RestDiagnosis:
         gained = 0.0
         looked = beyond_any_effect(problem, read.plain)
         if looked:
-            mistakes, gained = find_mistakes(build, self.options.allowed)
+            mistakes, gained = find_mistakes(build, self.allowed)
             if gained > REST.obvious and all(each.factor == 1.0 or each.handicap for each in mistakes):
                 undone = self._undone(read, mistakes)
                 if not suspicious(undone.problem, undone.plain):
@@ -193,7 +204,7 @@ class RestDiagnosis:
                         return at_once
         found = self.searched(read, read, (), 0.0)
         if not looked and (suspicious(problem, found.chosen) or links_far_from_cad(problem, read.plain)):
-            mistakes, gained = find_mistakes(build, self.options.allowed)
+            mistakes, gained = find_mistakes(build, self.allowed)
         if mistakes:
             other = self.searched(read, self._undone(read, mistakes), mistakes, gained)
             if not other.taken_back:
@@ -217,7 +228,7 @@ class RestDiagnosis:
         settled = settle(self.robot, found.now.problem.rows, self.knowledge, (found.now.problem, found.now.plain))
         if settled.knowledge is self.knowledge:
             return replace(found, settled=settled)
-        if settled.knowledge.inertials != self.knowledge.inertials:
+        if settled.knowledge.trust != self.knowledge.trust:
             search = replace(found.search, links_as_stated=True, averaged={})
             found = replace(found, search=search, chosen=self._chosen(search, found.setup))
         effects, search = found.chosen.terms, found.search
@@ -244,13 +255,13 @@ class RestDiagnosis:
         noise = settled_noise(problem, plain)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
-        weighed = bool(self.knowledge.weighed) or self.knowledge.inertials == "exact"
+        weighed = bool(self.knowledge.weighed) or self.knowledge.trust == 0.0
         drawn = np.where(np.isfinite(problem.link_std), problem.links, np.nan)
-        setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque, drawn, self.robot)
+        setup = RestSetup(self.stated.gear_ratios(problem.axes), weighed, torque, drawn, self.robot)
         unknown = sides_unknown(problem.rows)
         named = [
             term
-            for term in terms_at_rest(problem.rows, setup, self.options.allowed)
+            for term in terms_at_rest(problem.rows, setup, self.allowed)
             if not (term.name == "torque_offset" and unknown[term.joints[0] - 1])
         ]
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
@@ -259,7 +270,7 @@ class RestDiagnosis:
     def _chosen(self, search: Search, setup: RestSetup) -> Fit:
         """Return the best hypothesis of a search."""
         chosen = run(search)
-        if "torque_ripple" in self.options.allowed:
+        if "torque_ripple" in self.allowed:
             chosen = with_ripple(search, chosen, setup.gear_ratio)
         return chosen
 
@@ -303,8 +314,8 @@ class RestDiagnosis:
 
     def _as_estimated(self, visits: Visits, settled: SettledKnowledge | None) -> Result:
         """Return the result of `estimate`, for the case that no effect is named."""
-        found = estimate_joint(visits, self.robot, self.as_estimate, settled)
-        return to_result(found, self.robot, self.as_estimate)
+        found = estimate_joint(visits, self.robot, self.stated, settled)
+        return to_result(found, self.robot, self.stated)
 
     def refusal(self, read: ReadVisits) -> Result | None:
         """Return the result of `estimate` if the mass under a label changes or gravity is reversed; else None.
@@ -339,10 +350,8 @@ class RestDiagnosis:
         decision, judge, shown, formulas = _named(found, decision, held)
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += shown
-        seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.options.allowed else []
-        by_direction = (
-            friction_by_direction(problem, decision.after) if "static_friction" in self.options.allowed else []
-        )
+        seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.allowed else []
+        by_direction = friction_by_direction(problem, decision.after) if "static_friction" in self.allowed else []
         effects += seen_by_encoder + by_direction
         effects += possible(search, decision, judge) if decision.verdict == "undecided" else []
         verdict: Verdict = decision.verdict
@@ -360,7 +369,7 @@ class RestDiagnosis:
             after = replace(after, loads=loads_of(last_problem, last, self.robot, by_shape))
             if decision.after is decision.before and not found.mistakes:
                 before = replace(before, loads=after.loads)
-        bare = None if found.mistakes else bare_of(last_problem, last, self.robot, self.as_estimate)
+        bare = None if found.mistakes else bare_of(last_problem, last, self.robot, self.stated)
         if not effects and not found.mistakes and decision.after is decision.before:
             judged, tested = (problem, settled) if held is None or kind != "fresh" else (held.problem, None)
             estimated = self._as_estimated(judged.rows, tested)
@@ -371,8 +380,8 @@ class RestDiagnosis:
         formula = candidate_formula(formulas, judge, self.robot) if formulas else None
         findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += (*self.placeholder, *(settled.findings if settled else ()), *found.read.outliers.findings)
-        if "torque_ripple" in self.options.allowed:
-            findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
+        if "torque_ripple" in self.allowed:
+            findings += ripple_remarks(search, decision.after, self.stated.gear_ratios(problem.axes))
         findings += (
             reversed_signs(problem.rows.difference_nm)
             + mistake_findings(found.mistakes)
@@ -393,7 +402,7 @@ class RestDiagnosis:
             rejected=tuple(rejected(search, decision)),
             formula=None if formula is None else formula.result,
             next=questions(
-                problem, decision, self.robot, self.options, self.knowledge, () if formula is None else formula.fits
+                problem, decision, self.robot, self.knowledge, self.pose_choice, () if formula is None else formula.fits
             ),
             findings=tuple(dict.fromkeys(findings)),
             nuisance=nuisance_results(problem, decision.after),
@@ -405,7 +414,7 @@ class RestDiagnosis:
                 "poses": len(np.unique(problem.rows.pose)),
                 "hypotheses": len(search.pool),
                 "structure_p": decision.structure_p,
-                "inertials": self.knowledge.inertials,
+                "inertials": inertials_text(self.knowledge.trust),
             },
             bare=bare,
             rows=rows,

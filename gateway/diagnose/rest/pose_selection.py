@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.verdict import Decision
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.model.formula import FORMULA
 from gateway.model.robot import Robot
 from gateway.model.unnamed import UNNAMED
@@ -22,6 +22,8 @@ from gateway.result.result import NextMeasurement
 
 Floats = NDArray[np.float64]
 
+#: Poses (k, N) [rad] that may be recommended, or a function that returns them on demand; None = not stated.
+PoseChoice = Floats | Callable[[], Floats | None] | None
 #: Poses to choose from [-]: some ten a pose that is asked for, along each of six axes.
 CHOICE = 400
 #: Time from one visit to the next [s]: a slow move and two sides, as a recording has it.
@@ -36,8 +38,8 @@ def questions(
     problem: RestProblem,
     decision: Decision,
     robot: Robot,
-    options: DiagnoseOptions,
     knowledge: Knowledge,
+    pose_choice: PoseChoice = None,
     formulas: Sequence[Fit] = (),
 ) -> tuple[NextMeasurement, ...]:
     """Recommend what to measure next; empty if no hypothesis rivals the answer and no ripple may be hidden.
@@ -52,10 +54,10 @@ def questions(
     if len(fits) < 2 and len(formulas) > 1:
         fits = list(formulas[: RIVALS + 1])
     few = len(np.unique(problem.rows.pose)) < REST.least_poses
-    unordered = decision.structure_p < REST.structure_p and not np.isfinite(options.gear_ratios(problem.axes)).all()
+    unordered = decision.structure_p < REST.structure_p and not np.isfinite(knowledge.gear_ratios(problem.axes)).all()
     if len(fits) < 2 and not few and not unordered:
         return ()
-    choice = pose_choice(problem.rows, options)
+    choice = _choice(problem.rows, pose_choice)
     if not len(choice):
         what = "widen the limits of the cell: no pose inside them can be measured"
         return (NextMeasurement(what=what, tells_apart=_names(fits)),)
@@ -106,9 +108,9 @@ def _names(fits: Sequence[Fit]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def pose_choice(rows: Visits, options: DiagnoseOptions) -> Floats:
-    """Poses (k, N) that may be recommended: those of the options, or random ones in the visited joint ranges."""
-    stated = options.pose_choice() if callable(options.pose_choice) else options.pose_choice
+def _choice(rows: Visits, stated: PoseChoice) -> Floats:
+    """Poses (k, N) that may be recommended: those stated, or random ones in the visited joint ranges."""
+    stated = stated() if callable(stated) else stated
     if stated is not None:
         return np.asarray(stated, dtype=float)
     rng = np.random.default_rng(4)

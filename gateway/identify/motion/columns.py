@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table
-from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING, body_parameters, link_prior, parse_inertials
+from gateway.identify.knowledge import Knowledge
+from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING, body_parameters, link_prior
 from gateway.identify.motion.effects import SeenEffects
 from gateway.identify.motion.friction import (
     FALL,
@@ -24,7 +25,6 @@ from gateway.identify.motion.prior import CHANGE, change_names, moving_prior
 from gateway.identify.nuisance import gain_stds
 from gateway.identify.prior_loads import LOAD_NAMES, LOAD_UNITS, unknown_labels
 from gateway.identify.rest.gain_changes import occasions_of
-from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
@@ -240,7 +240,7 @@ def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledg
         rows = moving.rigid
     else:
         rows = regressor(robot, moving.q_rad, moving.qd_rad_s, moving.qdd_rad_s2, knowledge.gravity_m_s2)
-    mean, std = link_prior(robot, parse_inertials(knowledge.inertials), PER_LINK_MOVING)
+    mean, std = link_prior(robot, knowledge.trust, PER_LINK_MOVING)
     held, free = np.flatnonzero((std > 0.0) & np.isfinite(std)), np.flatnonzero(np.isinf(std))
     base, fixed = _free_base(robot, knowledge, free), np.where(std == 0.0, mean, 0.0)
     chosen = np.concatenate([held, free[base.indices]])

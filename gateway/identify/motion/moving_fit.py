@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
 from gateway.identify.conflict import without_placeholder
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
 from gateway.identify.motion.convergence import Settled, settle
@@ -31,7 +32,6 @@ from gateway.identify.motion.stretches import Stretches
 from gateway.identify.motion.uncertainty import MovingSpread, correlation_times, spread_of
 from gateway.identify.nuisance import BIAS_SHARE, gain_stds
 from gateway.identify.prior_loads import BARE_LABEL
-from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Solution, determined
 from gateway.model.motion import at_links, turns
 from gateway.model.placeholders import wide_inertia
@@ -139,7 +139,7 @@ def fit_motion(
 def _wide_inertia(robot: Robot, knowledge: Knowledge) -> Iterator[Finding]:
     """Report the links whose inertia the fit treats as unknown."""
     wide = wide_inertia(robot)
-    if not wide.any() or knowledge.inertials in ("exact", "ignore"):
+    if not wide.any() or not 0.0 < knowledge.trust < np.inf:
         return
     names = ", ".join(name for name, placeholder in zip(robot.link_names, wide.tolist(), strict=True) if placeholder)
     what = "the URDF's inertia is too large for a link of this mass and size: a placeholder, taken as unknown"
@@ -161,8 +161,8 @@ def _tested(
     stated = fit = _fit(periods, robot, knowledge, setup, beside)
     if not setup.nuisances:
         return fit, ()
-    if knowledge.inertials == "exact":
-        knowledge = replace(knowledge, inertials=NEARLY_EXACT)
+    if knowledge.trust == 0.0:
+        knowledge = replace(knowledge, link_std=NEARLY_EXACT)
         stated = _fit(periods, robot, knowledge, setup, beside)
     bare = np.asarray(periods.mean.load) == BARE_LABEL
     wider = contradicted_links(stated.columns, stated.settled.solution, knowledge, bool(bare.any()))
@@ -171,7 +171,7 @@ def _tested(
     other = _fit(periods, robot, wider, setup, beside)
     rows = (bare | ~bare.any())[:, None] & other.problem.used
     found = (other.columns, other.value, other.spread.covariance)
-    conflict = contradiction(stated.columns, found, rows, wider.inertials)
+    conflict = contradiction(stated.columns, found, rows, wider.trust)
     return (fit, ()) if conflict is None else (other, (conflict,))
 
 
@@ -292,8 +292,8 @@ def _weights(
     """
     moving, (used, low_pass, seen) = periods.mean, rows
     plain = replace(setup, nuisances=tuple(name for name in setup.nuisances if name == "load_inertia"))
-    trust = knowledge.inertials if setup.passes is not None else "ignore"
-    columns = moving_columns(moving, robot, replace(knowledge, inertials=trust), plain).with_effects(seen)
+    trust = knowledge.trust if setup.passes is not None else np.inf
+    columns = moving_columns(moving, robot, replace(knowledge, link_std=trust), plain).with_effects(seen)
     problem = MotionProblem.of(columns, moving, used, periods.contrasts, low_pass)
     solution, sigma = _reweighted(problem, setup.passes or _REWEIGHTS)
     level_nm = np.maximum(np.abs(columns.dry(solution.value)), _LEAST_SHARE * sigma.max())

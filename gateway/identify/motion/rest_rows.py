@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table, concatenate
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING
 from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
 from gateway.identify.motion.prior import CHANGE
 from gateway.identify.motion.problem import Still
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_nuisance import KINDS
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from gateway.identify.alternatives import LINK_SCALE, wider_links
 from gateway.identify.conflict import dropped, links_finding
-from gateway.identify.links import parse_inertials
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.columns import Columns
-from gateway.identify.rest.problem import Knowledge
 from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.identify.solve import Solution
 from gateway.result.result import Finding
@@ -21,7 +20,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: Prior of link masses that are stated as exact, for their test.
-NEARLY_EXACT: Final = "prior:0.005"
+NEARLY_EXACT: Final = 0.005
 
 
 def contradicted_links(columns: Columns, solution: Solution, knowledge: Knowledge, unloaded: bool) -> Knowledge | None:
@@ -48,21 +47,21 @@ def contradicted_links(columns: Columns, solution: Solution, knowledge: Knowledg
         pull = float(step @ change @ np.linalg.solve(mixed, step))
         return log_density - 0.5 * (float(np.linalg.slogdet(mixed)[1]) + pull)
 
-    trust, best, found = parse_inertials(knowledge.inertials), CONFLICT.log_odds, None
-    for wider in wider_links(knowledge.inertials):
+    trust, best, found = knowledge.trust, CONFLICT.log_odds, None
+    for wider in wider_links(trust):
         ratio = trust / wider
         value = odds((ratio**2 - 1.0) * precision, len(step) * float(np.log(ratio)))
         if value > best:
-            best, found = value, replace(knowledge, inertials=f"prior:{wider:g}")
+            best, found = value, replace(knowledge, link_std=wider)
     tied = precision @ mean
     size = LINK_SCALE**2 * float(mean @ tied)
     if odds(-np.outer(tied, tied) * LINK_SCALE**2 / (1.0 + size), -0.5 * float(np.log1p(size))) > best:
-        return replace(knowledge, inertials="ignore" if unloaded else f"prior:{LINK_SCALE:g}")
+        return replace(knowledge, link_std=np.inf if unloaded else LINK_SCALE)
     return dropped(knowledge, found) if found is not None and unloaded else found
 
 
 def contradiction(
-    stated: Columns, measured: tuple[Columns, Floats, Floats], rows: Mask, inertials: str
+    stated: Columns, measured: tuple[Columns, Floats, Floats], rows: Mask, trust: float
 ) -> Finding | None:
     """Report the axis on which the measured torque of the bodies differs most from the robot model.
 
@@ -74,8 +73,8 @@ def contradiction(
         With the wider prior: parameters and their covariance.
     rows : bool array of shape (n, N)
         Of the unloaded arm, where an axis is used.
-    inertials : str
-        How far the link masses are trusted now.
+    trust : float
+        Relative standard deviation of the link masses now.
 
     Returns
     -------
@@ -98,4 +97,4 @@ def contradiction(
     if away[axis] <= CONFLICT.shown:
         return None
     torque = float(rms(expected_nm**2)[axis]), float(rms(found_nm**2)[axis]), float(std[axis])
-    return links_finding(axis, torque, "in motion (rms)", inertials)
+    return links_finding(axis, torque, "in motion (rms)", trust)

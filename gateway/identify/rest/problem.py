@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
-from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
+from gateway.identify.knowledge import Knowledge
+from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, gain_stds, losses, nuisance_prior
 from gateway.identify.prior_loads import bare_rows, load_vector, refuse_absent, stored_errors, unknown_labels
 from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import RestProblem
 from gateway.identify.rest.rest_nuisance import RestNuisance
-from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.model.rest import Model
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, column_medians
-from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 #: Prior standard deviation [kg] and [kg m] of an unknown link: a hundred times that of any arm.
@@ -28,7 +25,7 @@ OPEN_MASS_KG = 1e3
 OPEN_MOMENT_KG_M = 1e3
 #: Standard deviation of a mass over that of an unknown link, above which the mass is not determined.
 OPEN_SHARE = 0.1
-#: Relative standard deviation [-] of inertials stated as exact: below the effect on any torque.
+#: Relative standard deviation [-] of links stated as exact: below the effect on any torque.
 EXACT = 1e-4
 #: Friction band of an axis that was approached from one side only, as a share of its torque.
 BAND_UNSEEN = 0.05
@@ -36,52 +33,6 @@ BAND_UNSEEN = 0.05
 SIDE_UNSEEN = 0.20
 #: Least standard deviation of a link without mass [kg, kg m].
 LEAST_STD = 1e-10
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Knowledge:
-    """Prior knowledge besides the measured rows.
-
-    Attributes
-    ----------
-    inertials : "exact", "ignore" or "prior:S"
-        How far the robot model's inertials are trusted: S is the relative standard deviation of every link's mass, and
-        that of its first moment as a fraction of mass x link length.
-    known : label -> (mass [kg], x, y, z [m] in the last link) of loads that are known
-    masses : label -> mass [kg] of loads whose mass is known and whose centre is to be estimated, from rows at rest
-    bare : stored bare identification, or None
-    gravity_m_s2 : base frame
-    gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
-    measured_gain : axes (N,) whose torque was calibrated on this arm, uneven losses included; empty = none
-    change : factor on the standard deviation of changes of gain between runs and while the arm warms up
-    """
-
-    inertials: str = "prior:0.05"
-    known: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
-    masses: Mapping[str, float] = field(default_factory=dict)
-    bare: Bare | None = None
-    gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
-    gain_std: tuple[float, ...] | None = None
-    measured_gain: tuple[bool, ...] = ()
-    change: float = 1.0
-
-    @property
-    def weighed(self) -> tuple[str, ...]:
-        """Labels of the loads with known mass."""
-        return (*self.known, *self.masses)
-
-    def without_load(self, label: str) -> Self:
-        """Return a copy with one known load as unknown."""
-        return self.of_loads(name for name in self.weighed if name != label)
-
-    def of_loads(self, labels: Iterable[str]) -> Self:
-        """Return a copy without the known loads of other labels."""
-        there = set(map(str, labels))
-        return replace(
-            self,
-            known={label: load for label, load in self.known.items() if label in there},
-            masses={label: mass_kg for label, mass_kg in self.masses.items() if label in there},
-        )
 
 
 def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: GainChanges | None = None) -> RestProblem:
@@ -107,7 +58,7 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: Gai
     use_difference = use_sum & np.isfinite(rows.difference_nm)
     axis = np.broadcast_to(np.arange(rows.axes), use_sum.shape)
     kind = np.where(use_difference, 0, 2 * rows.axes)
-    links, std = open_link_prior(robot, knowledge.inertials)
+    links, std = open_link_prior(robot, knowledge.trust)
     nuisance = nuisance_of(rows, knowledge, changes)
     count = 4 * (rows.axes + len(labels)) + rows.axes + len(nuisance.mean)
     prior_rows, prior_target = np.zeros((0, count)), np.zeros(0)
@@ -138,9 +89,9 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: Gai
     )
 
 
-def open_link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
+def open_link_prior(robot: Robot, trust: float) -> tuple[Floats, Floats]:
     """CAD value and standard deviation (4 N,) of [m, hx, hy, hz] per link; unknown links have a very wide prior."""
-    mean, std = link_prior(robot, max(parse_inertials(inertials), EXACT), PER_LINK_AT_REST)
+    mean, std = link_prior(robot, max(trust, EXACT), PER_LINK_AT_REST)
     nearly_open = np.tile([OPEN_MASS_KG, *[OPEN_MOMENT_KG_M] * 3], len(mean) // PER_LINK_AT_REST)
     return mean, np.where(np.isinf(std), nearly_open, np.maximum(std, LEAST_STD))
 

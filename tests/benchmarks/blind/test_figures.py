@@ -6,13 +6,10 @@ import pytest
 
 from benchmarks.blind.figures import (
     bus_figures,
-    claims,
-    clopper_pearson,
     confusion,
     credit,
     figures,
     places,
-    weakest,
 )
 
 
@@ -35,12 +32,6 @@ def cell(kind: str, truth: list, found: list, verdict: str, strength: float = 5.
 TILT, SHIFTED = ["base_tilt", []], ["joint_zero_offset", [2]]
 
 
-def test_interval_of_no_hit_in_hundred():
-    # 1 - 0.025 ** (1 / 100)
-    assert clopper_pearson(0, 100) == pytest.approx([0.0, 1 - 0.025 ** (1 / 100)])
-    assert clopper_pearson(100, 100)[1] == 1.0
-
-
 def test_credit_for_a_name_a_pair_and_a_wrong_axis():
     assert credit(cell("one", [TILT], [TILT], "explained")) == 1.0
     assert credit(cell("one", [TILT], [TILT, SHIFTED], "undecided")) == 0.5
@@ -48,12 +39,6 @@ def test_credit_for_a_name_a_pair_and_a_wrong_axis():
     wrong_axis = cell("one", [SHIFTED], [["joint_zero_offset", [3]]], "explained")
     assert credit(wrong_axis) == 1.0
     assert credit(wrong_axis, places) == 0.0
-
-
-def test_any_verdict_but_none_needed_is_a_claim():
-    assert not claims(cell("clean", [], [], "none_needed"))
-    assert claims(cell("clean", [], [], "unexplained"))
-    assert claims(cell("clean", [], [TILT], "explained"))
 
 
 def test_figures_say_what_is_met():
@@ -67,19 +52,6 @@ def test_figures_say_what_is_met():
     assert out["both named, two effects of strength >= 3"]["value"] == 0.0
     assert out["95 % intervals hold the truth"]["value"] == pytest.approx(0.95)
     assert ("two effects", "one of them", 1) in confusion(cells)
-
-
-def test_the_weakest_cells_are_those_not_answered_exactly_the_strongest_first():
-    right, wrong = cell("one", [TILT], [TILT], "explained", 9.0), cell("one", [TILT], [SHIFTED], "explained", 8.0)
-    pair = cell("one", [SHIFTED], [SHIFTED, TILT], "undecided", 12.0)
-    alarm, quiet = cell("clean", [], [], "unexplained"), cell("clean", [], [], "none_needed")
-    rows = weakest([right, wrong, pair, alarm, quiet])
-    assert [row[1:3] for row in rows] == [
-        ("joint_zero_offset J2", "12.0"),
-        ("base_tilt", "8.0"),
-        ("nothing that counts", ""),
-    ]
-    assert rows[0][3] == "joint_zero_offset J2 + base_tilt (undecided)"
 
 
 def test_cells_over_the_bus_have_to_end_and_to_name_exactly_what_is_there():

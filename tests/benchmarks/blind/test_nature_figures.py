@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.blind.mechanisms import MECHANISMS
-from benchmarks.blind.nature_figures import effect_figures, nuisance_figures, outlier_figures
-from benchmarks.blind.shares import middle, share
+from benchmarks.blind.nature_figures import effect_figures, nuisance_figures
 from benchmarks.nature.nature_cell import NAMED
 from benchmarks.nature.unmodelled import UNMODELLED
 from benchmarks.nature.wiring import WIRING
@@ -45,15 +44,6 @@ def test_every_mechanism_has_its_names_and_every_name_is_one_of_the_library():
     assert not any(MECHANISMS[name] for name in UNMODELLED)
 
 
-def test_shares_and_medians_know_their_goals():
-    assert share([1.0, 0.0], "0.4 .. 0.6")["met"]
-    assert not share([1.0, 1.0], "0.93 .. 0.97")["met"]
-    assert share([1.0], ">= 0.9")["met"]
-    assert not share([1.0], "<= 0.9")["met"]
-    assert share([])["met"] is None
-    assert middle([1.0, float("nan"), 3.0], "<= 2")["value"] == 2.0
-
-
 def test_coverage_leaves_out_what_was_not_given_and_misstated_priors():
     unknown = cell(diagnosed={"inside": [float("nan")] * 4, "width": [float("nan")] * 4}, estimated=None)
     out = nuisance_figures([cell(), unknown, cell(misstated=True, found=[("base_tilt", [])], verdict="explained")])
@@ -85,24 +75,3 @@ def test_one_several_and_strange_ones_are_counted_apart():
     assert out["wrong, one effect with sufficient data"]["value"] == 0.5
     cells[1]["log_ratios"] = [5.0]
     assert effect_figures(cells)["wrong, one effect with sufficient data"]["value"] == 0.0
-
-
-def test_a_formula_counts_where_it_leaves_noise_and_is_false_with_nuisances_only():
-    tether = [("tether", [], 9.0)]
-    right = cell("strange", tether, formula=["sin(q3)"], formula_left=1.2)
-    wrong = cell("strange", tether, formula=["sin(q3)"], formula_left=2.2)
-    weak = cell("strange", [("tether", [], 4.0)], formula=["sin(q3)"], formula_left=1.0)
-    none = cell("strange", tether)
-    out = effect_figures([right, wrong, weak, none])
-    name = "off-library of strength >= 5: formula, left-out poses at the noise floor"
-    assert (out[name]["value"], out[name]["unit"]) == (pytest.approx(1 / 3), "of 3")
-    out = nuisance_figures([cell(), cell(formula=["sin(q3)"], formula_left=1.0), cell(misstated=True)])
-    assert out["formula where only nuisances are there"]["value"] == 0.5
-
-
-def test_outlier_visits_are_found_on_their_axis_and_good_ones_stay():
-    hit = cell(outliers=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 2, 6.5)])
-    beside = cell(outliers=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 3, 6.5), (1, "none", 3, 5.0)])
-    out = outlier_figures([hit, beside])
-    assert out["outlier visits of 4 bands and more found"]["value"] == 0.5
-    assert out["good visits thrown out"]["value"] == pytest.approx(1 / 6)

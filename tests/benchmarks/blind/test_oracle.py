@@ -10,7 +10,7 @@ import pytest
 from benchmarks.blind import oracle
 from benchmarks.nature.effect import Mechanism, on_axis, rows_of
 from benchmarks.nature.levels import levels_of
-from benchmarks.nature.measuring import OutlierVisit, quiet, reported_nm
+from benchmarks.nature.measuring import quiet, reported_nm
 from benchmarks.nature.nature_cell import draw_cell
 from benchmarks.nature.strength import halves
 
@@ -30,34 +30,6 @@ def test_a_nuisance_of_the_same_shape_adds_its_prior():
     assert covariance[0, 0] == pytest.approx(0.3**2 / 5 + 0.7**2)
 
 
-def test_the_centre_of_a_load_by_the_error_of_its_moments():
-    rng = np.random.default_rng(0)
-    load = np.array([10.0, 1.0, -2.0, 3.0])
-    root = 0.01 * rng.standard_normal((4, 4))
-    draws = load + rng.standard_normal((200000, 4)) @ root.T
-    values = np.column_stack([draws[:, 0], draws[:, 1:] / draws[:, :1]])
-    assert oracle.centre_std(root @ root.T, load) == pytest.approx(values.std(axis=0), rel=0.02)
-
-
-def test_a_row_that_is_left_out_says_nothing_and_the_others_what_they_said():
-    rng = np.random.default_rng(1)
-    root = rng.standard_normal((6, 6))
-    covariance = root @ root.T
-    weight = oracle.without_axis(np.linalg.inv(covariance), 2)
-    rest = [0, 1, 3, 4, 5]
-    assert weight[np.ix_(rest, rest)] == pytest.approx(np.linalg.inv(covariance[np.ix_(rest, rest)]))
-    assert not weight[2].any()
-
-
-def test_what_is_wrong_or_not_known_makes_the_load_less_known():
-    cell = draw_cell(2, "base")
-    sharp = oracle.load_std(cell, cell.visits, ())
-    unsure = replace(cell, arm=replace(cell.arm, gain_std=5.0 * cell.arm.gain_std))
-    assert (oracle.load_std(unsure, cell.visits, ()) > sharp).all()
-    lost = [OutlierVisit(k, 0, "tool", joint, 5.0) for k in range(len(cell.visits)) for joint in (2, 3)]
-    assert oracle.load_std(cell, cell.visits, lost)[0] > 1.5 * sharp[0]
-
-
 def test_evidence_for_an_effect_grows_with_the_square_of_its_size_and_falls_where_something_else_may_explain_it():
     cell = draw_cell(2, "base")
 
@@ -73,24 +45,6 @@ def test_evidence_for_an_effect_grows_with_the_square_of_its_size_and_falls_wher
     assert oracle.log_likelihood_ratios(cell, cell.visits, ()) == []
     uneven = replace(cell.arm.friction, bias_std=100.0 * cell.arm.friction.bias_std)
     assert ratio(size_nm, friction=uneven) < 0.2 * ratio(size_nm)
-
-
-def test_evidence_for_a_body_on_a_link_is_at_most_what_the_drawing_excludes():
-    # the links may do what the body does, at the price of their priors; the losses follow either
-    cell = draw_cell(3, "all")
-    body = np.zeros(24)
-    body[12:16] = 5.0 * cell.arm.links_std[12:16] * np.array([1.0, 1.0, -1.0, 1.0])
-    dressed = replace(cell, effects=(Mechanism("dressed", (4,), 1.0, links=body),))
-    most = 0.5 * 4 * 5.0**2
-    assert 0.1 * most < oracle.log_likelihood_ratios(dressed, cell.visits, ())[0] < most
-
-
-def test_a_mass_whose_constants_share_one_error_is_as_uncertain_as_they_are():
-    # free links, no noise to speak of: what is left is the gain of the axes that carry the mass
-    cell = draw_cell(4, "base")
-    exact = replace(cell.arm, links_std=np.full(24, 1e-12), gain_std=np.full(6, 0.03))
-    std = oracle.load_std(replace(cell, arm=exact), cell.visits, ())
-    assert 0.03 / np.sqrt(6.0) * 0.1 < std[0] / cell.arm.tool.mass_kg < 0.03
 
 
 @pytest.mark.slow

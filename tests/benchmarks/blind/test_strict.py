@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.blind.strict import Said, kind, misnamed, right, there
+from benchmarks.blind.strict import Said, misnamed, right, there
 
 TILT = there(("base_tilt",), (), 8.0)
 OFFSET = there(("torque_offset", "static_friction"), (3,), 5.0)
@@ -44,15 +44,3 @@ TILTED, BIASED = ("base_tilt", ()), ("static_friction", (3,))
 def test_answers(truth, found, verdict, is_right, is_misnamed):
     assert right(truth, Said(found, verdict)) is is_right
     assert misnamed(truth, Said(found, verdict)) is is_misnamed
-
-
-def test_cells_are_counted_by_the_effects_that_count():
-    weak = there(("base_tilt",), (), 2.0)
-    assert [kind(truth) for truth in ((TILT,), (weak,), (TILT, weak), (TILT, FAINT), (FAINT,), ())] == [
-        "strong",
-        "weak",
-        "several",
-        "strong",
-        "below",
-        "below",
-    ]

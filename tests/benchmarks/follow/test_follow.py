@@ -104,8 +104,8 @@ def test_a_load_20_percent_off_shows_as_a_trend_and_fails(place, drives, right, 
         result = read_follow(place.folder / "heavy.json")
         assert "tag fail" in (place.folder / "heavy.html").read_text()
     else:
-        request = rig.FollowRequest(place.path, place.result_with("light", factor))
-        result = rig.followed(drives, place.cell, request, "identified")
+        request = place.path, place.result_with("light", factor)
+        result = rig.followed(drives, place.cell, *request, "identified")
     assert result.findings[0].severity == "fail"
     assert result.trend.scale == pytest.approx(1 / factor - 1, abs=0.07)
     assert abs(result.trend.scale) > 3 * result.trend.scale_std
@@ -127,7 +127,7 @@ def test_afterwards_the_drives_hold_no_offset_and_the_brakes_hold_the_arm(drives
 def test_a_drive_that_faults_while_it_is_fed_takes_every_offset_to_zero(place, tmp_path_factory):
     fault = place.folder / "fault.toml"
     fault.write_text('[[fault]]\nkind = "drive_fault"\nnode = 3\nat_sync = 2400\n')
-    with rig.drives(place, BUILD_ERRORS, fault=fault) as handle:
+    with rig.drives(place, BUILD_ERRORS, fault=(fault,)) as handle:
         keep_proof_of_stop(place.cell, handle.bus, tmp_path_factory)
         handle.mount("load")
         command = rig.follow_command(place, handle, place.result, place.folder / "fault.html")

@@ -12,15 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.loads.bodies import body_of, identified
 from benchmarks.loads.cells import drawn_in_motion, write_moving_cells, write_rest_cells
 from benchmarks.loads.gateway_estimate import identify
 from benchmarks.loads.methods import METHODS, answers_file, memory_file
-from benchmarks.loads.runs import runs_of, thinned
 from benchmarks.loads.score import GAIN_ROW, scores
 from benchmarks.moving.cells import PERIODS, MovingCell
 from benchmarks.moving.scores import load_truth
-from benchmarks.naming.answers import Answer, read_answers, write_answers
+from benchmarks.naming.answers import Answer, read_answers
 from benchmarks.naming.cells import TRUTH, read_cells, write_place
 from benchmarks.naming.score import read_truth
 from gateway.data.table import Table, write_csv
@@ -105,33 +103,6 @@ def test_rest_cells_have_no_effect_and_the_gateway_finds_their_load(tmp_path: Pa
     assert len(found.load) == 4
 
 
-def test_rest_runs_are_half_sums_and_moving_runs_are_thinned_by_period(drawn: MovingCell, tmp_path: Path) -> None:
-    write_rest_cells([SEED], tmp_path / "rest")
-    (cell,) = read_cells(tmp_path / "rest" / "cells")
-    runs = runs_of(cell, moving=False)
-    assert [len(run.q) for run in runs.values()] == [int((cell.table.load == label).sum()) // 2 for label in runs]
-    write_moving_cells([SEED], tmp_path / "motion")
-    (cell,) = read_cells(tmp_path / "motion" / "cells")
-    run = runs_of(cell, moving=True)["tool"]
-    few, count = thinned(run), drawn.motion.samples
-    assert len(few.tau) == count // 4
-    np.testing.assert_allclose(few.tau[1], run.tau[4::count].mean(axis=0))
-
-
-def test_body_of_linear_parameters_is_a_point_mass_and_a_rod() -> None:
-    # rod of 2 kg along x from 0 to 0.6 m: inertia about its end m l^2 / 3, about its centre m l^2 / 12
-    end, own = 2.0 * 0.36 / 3.0, 2.0 * 0.36 / 12.0
-    linear = np.array([2.0, 0.6, 0.0, 0.0, 0.0, 0.0, end, 0.0, 0.0, end])
-    np.testing.assert_allclose(body_of(linear), [2.0, 0.3, 0.0, 0.0, 0.0, own, own, 0.0, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(body_of(linear[:4]), [2.0, 0.3, 0.0, 0.0])
-
-
-def test_standard_deviations_are_propagated_to_the_centre() -> None:
-    # x = h / m: with h exact, std(x) = x std(m) / m; y has the std of h over m
-    found = identified(np.array([2.0, 0.6, 0.0, 0.0]), np.diag([0.02, 1e-12, 0.01, 1e-12]) ** 2, {})
-    assert found.load_std == pytest.approx((0.02, 0.003, 0.005, 0.0), abs=1e-6)
-
-
 def test_scorer_counts_errors_coverage_and_missing_loads_by_hand() -> None:
     load = [10.0, 0.1, 0.0, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.0]
     axes = {
@@ -163,12 +134,6 @@ def test_scorer_counts_errors_coverage_and_missing_loads_by_hand() -> None:
     assert found[GAIN_ROW] == "0.25 % of 2"
     assert found["processor time per cell, median"] == "2 s"
     assert found["peak memory of the process"] == "123 MiB"
-
-
-def test_answers_with_axes_are_read_as_written(tmp_path: Path) -> None:
-    answer = Answer("a", (), False, (1.0,) * 10, (0.1,) * 10, 1.0, {"gain": (0.1, 0.2)})
-    write_answers([answer], tmp_path / "a.jsonl")
-    assert read_answers(tmp_path / "a.jsonl") == {"a": answer}
 
 
 @pytest.mark.slow

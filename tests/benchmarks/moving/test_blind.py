@@ -14,17 +14,6 @@ from benchmarks.nature.moving_effects import MAKERS, MovingEffect
 CELL = draw_cell(4, "stated", periods=2, rate_hz=20.0)
 
 
-def test_the_torque_of_a_balancer_is_the_derivative_of_its_energy():
-    """The motor gives what the energy of the spring takes; the energy is summed up over a sweep of axis 2."""
-    effect = MAKERS["balancer_spring"](CELL.arm, np.random.default_rng(1))[0](1.0)
-    q = np.zeros((2001, 6))
-    q[:, 1] = np.linspace(-np.pi, np.pi, 2001)
-    torque = effect.joint_nm(q, np.zeros_like(q))[:, 1]
-    assert np.abs(torque).max() > 1.0
-    # a closed turn takes no energy
-    assert np.trapezoid(torque, q[:, 1]) == pytest.approx(0.0, abs=1e-9 * np.abs(torque).max())
-
-
 @pytest.mark.parametrize("name", list(MAKERS))
 def test_a_larger_mechanism_is_stronger(name: str):
     build, limit = MAKERS[name](CELL.arm, np.random.default_rng(2))

@@ -21,15 +21,3 @@ def test_a_condition_raises_what_it_names_and_nothing_else(condition):
     for name in changed:
         mild, harsh = np.mean(getattr(MILD, name)), np.mean(getattr(levels, name))
         assert harsh < mild if name in FALLING else harsh > 1.9 * mild
-
-
-def test_all_together_is_everything_at_half_size():
-    levels = levels_of("all")
-    assert levels.gain_std == pytest.approx(((0.005 + 0.02) / 2, (0.01 + 0.05) / 2))
-    assert levels.outlier_share == pytest.approx(((0.0 + 0.02) / 2, (0.004 + 0.05) / 2))
-    assert all(getattr(levels, field.name) != getattr(MILD, field.name) for field in fields(MILD))
-
-
-def test_an_unknown_condition_is_refused():
-    with pytest.raises(KeyError):
-        levels_of("rain")

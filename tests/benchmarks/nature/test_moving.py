@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.nature.levels import MILD
-from benchmarks.nature.moving_arm import MovingArm, box_inertia, draw_moving_arm, moving_arm
-from benchmarks.nature.moving_cell import FINE, PeriodicMotion, electrical_noise, measure_moving, reported_nm
+from benchmarks.nature.moving_arm import MovingArm, box_inertia, moving_arm
+from benchmarks.nature.moving_cell import FINE, PeriodicMotion, measure_moving, reported_nm
 from sim.urdf import SimBody, SimChain
 
 G = 9.80665
@@ -132,21 +132,6 @@ def test_a_filter_and_a_dead_time_delay_what_changes_slowly(arm, motion):
     settled = slice(1000, -10)
     delay = -float(slope[settled] @ (shown - prompt)[settled, 0]) / float(slope[settled] @ slope[settled])
     assert delay == pytest.approx(delayed.delay_s[0], rel=0.05)
-
-
-def test_noise_has_the_size_and_the_memory_that_were_drawn(arm):
-    noisy = replace(arm, noise_nm=np.array([2.0]), noise_s=np.array([0.02]), white_share=0.3)
-    noise = electrical_noise(noisy, 200_000, 100.0, np.random.default_rng(1))[:, 0]
-    assert noise.std() == pytest.approx(2.0, rel=0.03)
-    assert noise[1:] @ noise[:-1] / (noise @ noise) == pytest.approx(0.7 * np.exp(-0.5), abs=0.01)
-
-
-def test_a_seed_gives_the_same_arm_and_the_same_rows():
-    (one, stated), (other, _) = (draw_moving_arm(MILD, np.random.default_rng(3)) for _ in range(2))
-    still = PeriodicMotion(lambda t: 3 * [np.zeros((len(t), 6))], 1.0, 1, 50.0, 3)
-    first, second = (measure_moving(arm, still, "tool", 0.0, np.random.default_rng(1)) for arm in (one, other))
-    assert all(np.array_equal(first[name], second[name]) for name in first)
-    assert f'mass value="{one.chain.bodies[2].mass_kg:.12g}"' not in stated.urdf
 
 
 def test_boxes_are_bodies():

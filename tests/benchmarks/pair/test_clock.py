@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.chaos.processes import PAIR_EXAMPLE
-from benchmarks.pair.clock import CELL, GAP_CELL, PERIOD_S, Cycles, at_period, attempt, stepped
+from benchmarks.pair.clock import PERIOD_S, Cycles, attempt, stepped
 from drives.errors import DriveFault, MasterStalled
 from gateway.pair.force_guard import cause_of
-from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairStopped
 from sim.pair.cell import PLANTS
 from sim.pair.light import LightWorld
@@ -44,20 +40,6 @@ def test_friction_of_arms_that_stand_is_no_force_in_the_part() -> None:
         most = [bench.cycle(run) for _ in range(2)]
         bench.power.off()
     assert max(most) < 0.5 * bench.cell.config.force_limit_n
-
-
-@pytest.mark.parametrize(("file", "damping"), [(CELL, "impedance_damping"), (GAP_CELL, "damping_s")])
-def test_at_a_longer_period_hands_are_damped_as_far_above_oscillation(tmp_path: Path, file: str, damping: str) -> None:
-    shutil.copytree(PAIR_EXAMPLE, tmp_path / "pair")
-    path = tmp_path / "pair" / file
-    path.write_text(at_period(path.read_text(), 0.008))
-    longer, stated = load_pair(path), load_pair(PAIR_EXAMPLE / file)
-    assert longer.sync_period_s == 0.008
-    assert longer.config.loop_delay_s == pytest.approx(stated.config.loop_delay_s + 0.014)
-    later = longer.config.loop_delay_s / stated.config.loop_delay_s
-    hands = [getattr(pair.config.distance or pair.config, damping) for pair in (longer, stated)]
-    for name in ("straight", "turned"):
-        assert getattr(hands[0], name) == pytest.approx(later * getattr(hands[1], name), rel=1e-3)
 
 
 @pytest.mark.parametrize(

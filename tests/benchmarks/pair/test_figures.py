@@ -27,9 +27,3 @@ def test_another_day_is_borne_or_stopped_in_time_and_named(found, met):
     figure = figures([found], 40.0, judged=False)[f"another day: {found['trouble']}"]
     assert figure["met"] is met
     assert figure["value"] == found["force_n"]
-
-
-def test_sensors_that_are_swapped_are_judged_by_being_named():
-    found = row("swapped", 0.0, goes_on=False, stopped=True, named=True) | {"gap_m": 0.004}
-    figure = figures([found], 40.0, judged=False)["another day: swapped"]
-    assert (figure["value"], figure["met"]) == (4.0, True)

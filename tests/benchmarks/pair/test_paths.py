@@ -27,13 +27,3 @@ def test_a_drawn_path_goes_elsewhere_from_the_same_start_as_smoothly(tmp_path: P
         rise = np.abs(np.diff(speed)).max() / step_s
         assert speed[[0, -1]].max() < 1.0 * MM
         assert rise < 1.0
-
-
-def test_every_seed_has_a_path_of_its_own_and_the_same_one_again(tmp_path: Path) -> None:
-    texts = []
-    for number, (seed, refused) in enumerate(((3, 0), (4, 0), (3, 0), (3, 1))):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        texts.append((drawn_cell(folder, seed, refused).parent / "path.csv").read_text())
-    assert texts[0] == texts[2]
-    assert len(set(texts)) == 3

@@ -13,16 +13,6 @@ from benchmarks.pair.unequal import CELLS, FOLDER, ROWS, cycles_until_inside, fi
 from gateway.pair.transform_function import constant_function
 
 
-@pytest.mark.parametrize(
-    ("forces_n", "wanted"),
-    [([30.0, 20.0], 0), ([50.0, 30.0, 20.0], 1), ([50.0, 30.0, 45.0, 30.0], 3), ([30.0, 50.0], None), ([41.0], None)],
-)
-def test_a_run_is_inside_from_the_cycle_after_the_last_one_above_the_limit(
-    forces_n: list[float], wanted: int | None
-) -> None:
-    assert cycles_until_inside(forces_n, 40.0) == wanted
-
-
 def run(row: str, seed: int, forces_n: list[float], held: float) -> dict[str, Any]:
     inside = cycles_until_inside(forces_n, 40.0)
     each = {"cell": "c", "row": row, "seed": seed, "limit_n": 40.0, "force_n": forces_n}
@@ -40,14 +30,6 @@ def test_what_is_missed_is_said() -> None:
     assert figures["c: truth held by intervals"]["met"] is False
     assert figures["c: truth held by intervals"]["value"] == pytest.approx(100.0 * (0.8 - 0.1 / 6.0))
     assert figures["c: truth held, worst run and component"]["value"] == pytest.approx(70.0)
-
-
-def test_what_is_kept_is_met() -> None:
-    runs = [run(row, 0, [30.0], 0.97) for row in ROWS]
-    figures = figures_of_cell("c", runs)
-    assert figures["c: C8, last cycle"]["met"] is True
-    assert figures["c: C8, cycles before it stays inside"]["value"] == 0
-    assert figures["c: truth held by intervals"]["met"] is True
 
 
 @pytest.mark.slow

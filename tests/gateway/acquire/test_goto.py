@@ -10,7 +10,7 @@ import pytest
 
 from drives.errors import DriveFault
 from gateway.acquire.goto import Destination, destination, go, plan_transfer, remarks, transfer_from_here
-from gateway.acquire.plan import MoveInwards, MoveTo, inward_steps
+from gateway.acquire.plan import MoveTo, inward_steps
 from gateway.acquire.start_posture import refuse_start, smallest_exit, widened
 from gateway.cell.config import KeepOut
 from gateway.check.stop import slow_motion
@@ -152,7 +152,7 @@ def test_without_a_free_path_the_message_names_what_the_straight_one_meets(small
 def test_the_arm_comes_from_outside_its_range_inwards_and_goes_on(opened, fake, workspace, pacing):
     stand(fake, (0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.1, 0.3, 0.0))
     plan = went(opened(pacing), to(TARGET))
-    assert isinstance(plan.steps[0], MoveInwards)
+    assert plan.steps[0].is_inwards
     assert "joint 4 is outside its range: it first moves slowly back" in remarks(plan, workspace)[0]
     path = np.array(fake.path)
     assert (np.diff(path[:, 3]) <= COUNTS_RAD).all(), "never outwards"
@@ -245,4 +245,4 @@ def test_the_stop_is_proven_on_the_path_inwards(workspace):
     motion = slow_motion("main", workspace, outside, 0.5, PERIOD_S)
     assert (np.diff(motion.q_rad[:, 3]) < 0).all()
     assert widened(workspace, outside).feasible(motion.q_rad).all()
-    assert len(inward_steps(workspace, motion.q_rad[-1], "main")) == 1, "still outside, and further in"
+    assert len(inward_steps(workspace, motion.q_rad[-1], "main")[0]) == 1, "still outside, and further in"

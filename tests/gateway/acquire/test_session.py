@@ -10,17 +10,12 @@ import pytest
 from drives.bus import BusSpec
 from drives.errors import NodeMissing, SeveralFailures
 from gateway.acquire.events import PoseDone, Progress, VisitDone
-from gateway.acquire.session import (
-    BusOverride,
-    RecordRequest,
-    make_plan,
-    open_arm,
-    plan_of_recording,
-    record,
-)
+from gateway.acquire.planning import make_plan
+from gateway.acquire.session import RecordRequest, plan_of_recording, record
 from gateway.data.recording.reader import read
 from gateway.errors import InputError
 from gateway.model.arm_model import robot_text
+from gateway.motion.opening import open_arm
 from sim.serve import RunningSimulation, running
 
 pytestmark = [pytest.mark.system, pytest.mark.xdist_group("session")]
@@ -35,8 +30,8 @@ def simulation():
         yield running_simulation
 
 
-def override(simulation: RunningSimulation) -> BusOverride:
-    return BusOverride(BusSpec.parse(simulation.bus))
+def override(simulation: RunningSimulation) -> BusSpec:
+    return BusSpec.parse(simulation.bus)
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +151,7 @@ def test_a_whole_file_is_gone_on_with_without_power(recorded, simulation, small_
 def test_no_drive_on_the_bus(small_cell):
     with (
         pytest.raises((NodeMissing, SeveralFailures), match="no device answers") as refused,
-        open_arm(small_cell, BusOverride(BusSpec.parse(f"virtual:{uuid.uuid4()}"))),
+        open_arm(small_cell, BusSpec.parse(f"virtual:{uuid.uuid4()}")),
     ):
         pass
     assert refused.value.exit_code == 4

@@ -12,10 +12,12 @@ import pytest
 from click.testing import CliRunner
 
 from drives.bus import BusSpec
-from gateway.acquire.session import BusOverride, RecordRequest, make_plan, open_arm, record
+from gateway.acquire.planning import make_plan
+from gateway.acquire.session import RecordRequest, record
 from gateway.cell.config import load_cell, with_pacing
 from gateway.cli import main
 from gateway.data.recording.reader import read
+from gateway.motion.opening import open_arm
 from gateway.result.result import read_result
 from sim.serve import running
 from tests.support.rigs.pacing import measured_shortly
@@ -54,7 +56,7 @@ def test_the_recording_holds_the_temperature_of_the_drives(cell, tmp_path):
         # not the course of any model: 20 deg C at first, 0.5 K a second, each motor a degree above the one before
         world.plant = replace(world.plant, temperature_c=lambda time_s: 20.0 + 0.5 * time_s + np.arange(6.0))
         begun_s = world.time_s
-        with open_arm(loaded, BusOverride(BusSpec.parse(simulation.bus))) as opened:
+        with open_arm(loaded, BusSpec.parse(simulation.bus)) as opened:
             record(opened, plan, RecordRequest("none", tmp_path / "run.h5"))
             simulation.mount("load")
             record(opened, plan, RecordRequest("load", tmp_path / "run.h5", resume=True))

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from gateway.acquire import thermal
-from gateway.acquire.thermal import Thermal, blocks_of, warm_up
+from gateway.acquire.thermal import blocks_of, warm_up
 from gateway.data.rest_pose import RestPose
 
 POSES = tuple(RestPose(number, (0.1 * number, 0.0), "fit") for number in (1, 2, 3))
 
 
 def test_loads_in_both_orders_have_equal_mean_times() -> None:
-    blocks = blocks_of(["a", "b"], POSES, Thermal(0.0))
+    blocks = blocks_of(["a", "b"], POSES, is_thermal=True)
     assert [block.load for block in blocks] == ["a", "b", "none", "none", "b", "a"]
     for label in ("a", "b", "none"):
         assert np.mean([place for place, block in enumerate(blocks) if block.load == label]) == 2.5
@@ -26,7 +26,7 @@ def test_loads_in_both_orders_have_equal_mean_times() -> None:
 
 
 def test_without_it_the_bare_arm_comes_first() -> None:
-    assert [block.load for block in blocks_of(["a", "b"], POSES, None)] == ["none", "a", "b"]
+    assert [block.load for block in blocks_of(["a", "b"], POSES, is_thermal=False)] == ["none", "a", "b"]
 
 
 @dataclass
@@ -56,6 +56,6 @@ class Measured:
 def test_an_arm_is_warm_when_its_friction_is_constant(monkeypatch, tmp_path, bands, longest_s, rounds, words) -> None:
     measured = Measured(bands, 60.0)
     monkeypatch.setattr(thermal, "_bands", measured.read)
-    said = warm_up(POSES, Path(tmp_path) / "run.h5", longest_s, measured.measure)
+    said = warm_up(POSES, Path(tmp_path) / "warm-up.h5", longest_s, measured.measure)
     assert measured.rounds == rounds
     assert words in said

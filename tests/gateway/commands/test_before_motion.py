@@ -23,7 +23,7 @@ def place(tmp_path, monkeypatch):
 
     monkeypatch.setattr("drives.bus.open_bus", opened)
     monkeypatch.setattr("gateway.motion.opening.open_arm", opened)
-    monkeypatch.setattr("gateway.acquire.session.open_arm", opened)
+    monkeypatch.setattr("gateway.jobs.cell_context.open_arm", opened)
     (tmp_path / "cell.toml").write_text(SMALL.read_text(encoding="utf-8"), encoding="utf-8")
     (tmp_path / "robot.urdf").write_text((SMALL.parent / "robot.urdf").read_text(encoding="utf-8"), encoding="utf-8")
     return tmp_path

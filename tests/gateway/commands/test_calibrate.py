@@ -194,7 +194,7 @@ def gains_std(place, *more) -> np.ndarray:
     """Prior standard deviation of the constants of an analysis that uses the calibration."""
     tool = place.table("tool.csv", concatenate([rows("none", None), rows("tool", TOOL, start_s=300.0)]))
     request = ModelRequest(cell=place.folder / "cell.toml", is_warm="--warm" in more)
-    return np.array(collect_inputs(request, [place.folder / tool]).gain_std)
+    return np.array(collect_inputs(request, [place.folder / tool]).knowledge.gain_std)
 
 
 @pytest.mark.parametrize(("days", "moved"), [(0, 0.0), (61, 0.002), (3650, 0.01)])

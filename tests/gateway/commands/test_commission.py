@@ -13,7 +13,7 @@ import pytest
 
 from gateway.acquire.goto import transfer_from_here
 from gateway.acquire.plan import VisitSettings
-from gateway.acquire.thermal import Block, Thermal, blocks_of
+from gateway.acquire.thermal import Block, blocks_of
 from gateway.cell.config import KeepOut
 from gateway.data.rest_pose import RestPose
 from gateway.jobs.commission import Job, _Robot
@@ -68,7 +68,7 @@ class Listener:
 
 @pytest.fixture
 def robot(small_cell, workspace, arm, tmp_path):
-    def make(loading, override=1.0, surroundings=workspace, thermal=None) -> tuple[Any, Listener]:
+    def make(loading, override=1.0, surroundings=workspace, warm_up_s=None) -> tuple[Any, Listener]:
         config = small_cell.cell.arm[0].model_copy(update={"loading_rad": loading})
         timing = SimpleNamespace(pacing="lockstep", period_s=0.01)
         opened: Any = SimpleNamespace(
@@ -79,7 +79,9 @@ def robot(small_cell, workspace, arm, tmp_path):
             group=SimpleNamespace(timing=timing, gate=in_brakes),
         )
         listener: Any = Listener(small_cell)
-        job = Job(listener, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), thermal=thermal)
+        job = Job(
+            listener, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), warm_up_s=warm_up_s
+        )
         plan: Any = SimpleNamespace(poses=(POSE,), settings=VisitSettings(0.03, 0.05, 2.0, 40, 0.01))
         return _Robot(job, listener, opened, plan), listener
 
@@ -115,9 +117,9 @@ def test_a_path_that_is_not_free_is_reported_and_ends_nothing(small_cell, robot,
 
 
 def test_forth_and_back_a_person_changes_the_load_only_where_it_changes(robot):
-    made, person = robot(None, thermal=Thermal(0.0))
+    made, person = robot(None, warm_up_s=0.0)
     made.warm_up()
-    for block in blocks_of(("a",), (POSE,), Thermal(0.0)):
+    for block in blocks_of(("a",), (POSE,), is_thermal=True):
         made.measure_load(block)
     assert person.done == ["mount a", "measure", "mount none", "measure", "measure", "mount a", "measure"]
 
@@ -125,6 +127,6 @@ def test_forth_and_back_a_person_changes_the_load_only_where_it_changes(robot):
 def test_a_resumed_job_asks_which_load_is_mounted(robot, tmp_path, monkeypatch):
     (tmp_path / "run.h5").touch()
     monkeypatch.setattr(_Robot, "_stored", lambda _self: None)
-    made, person = robot(None, thermal=Thermal(0.0))
+    made, person = robot(None, warm_up_s=0.0)
     made.measure_load(Block("none", (POSE,)))
     assert person.done == ["mount none", "measure"]

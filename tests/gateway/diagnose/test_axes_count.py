@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import uuid
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +16,7 @@ from sim.effects import apply_effects
 from sim.nominal import plant_of
 from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 from sim.plant import Payload
-from sim.serve import running
 from tests.cells import CELLS
-from tests.support.rigs.proofs import keep_proof_of_stop
 from tests.support.rigs.tables import simulated_table
 
 LOAD = Payload("tool", 3.0, np.array([0.05, -0.03, 0.06]))
@@ -118,16 +114,6 @@ def test_the_last_axis_is_looked_at_too(arm, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
-def test_what_to_measure_next_has_a_number_per_axis(arm, tmp_path):
-    _, body, _ = diagnosed(
-        arm, tmp_path / "out.json", table(arm, tmp_path / "run.csv", [SPRING], poses=5), "--only", "balancer_spring"
-    )
-    for item in body["next"]:
-        assert all(len(pose) == arm.axes for pose in item["poses_rad"])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
 def test_a_moving_run_is_diagnosed(arm, tmp_path):
     """A rigid arm with friction, its torque by the oracle of `tests/data/arms.py`, has nothing to name."""
     pinocchio = pytest.importorskip("pinocchio")
@@ -163,29 +149,3 @@ def test_a_table_of_another_arm_is_refused(arm, tmp_path):
     assert code == 3
     assert f"{other.axes} axes" in said
     assert f"has {arm.axes}" in said
-
-
-@pytest.mark.slow
-@pytest.mark.system
-@pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
-def test_recordings_are_diagnosed(arm, tmp_path, tmp_path_factory):
-    for name in ("cell.toml", "robot.urdf", "payload.toml"):
-        shutil.copy(arm.folder / name, tmp_path / name)
-    cell, bare, loaded, out = (tmp_path / name for name in ("cell.toml", "bare.h5", "loaded.h5", "out.json"))
-    text = cell.read_text(encoding="utf-8")
-    cell.write_text(text.replace("count = 6", "count = 4").replace("validation = 2", "validation = 0"))
-    bus = f"virtual:axes-{uuid.uuid4().hex}"
-    with running(cell, bus, payload=tmp_path / "payload.toml") as handle:
-        keep_proof_of_stop(cell, handle.bus, tmp_path_factory)
-        at = ("--bus", handle.bus, "--yes")
-        said = command("record", cell, *at, "--load", "none", "-o", bare)
-        assert said.exit_code == 0, said.output
-        handle.mount("load")
-        said = command("record", cell, *at, "--load", "load", "-o", loaded)
-        assert said.exit_code == 0, said.output
-    said = command("diagnose", bare, loaded, "--cell", cell, "--json", out, "--only", "balancer_spring")
-    assert said.exit_code == 0, said.output
-    body = json.loads(out.read_text())
-    assert {len(values) for values in lists_of(body)} == {arm.axes}
-    (load,) = body["loads"]
-    assert load["frame"] == f"link_{arm.axes}"

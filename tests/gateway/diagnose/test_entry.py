@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.data.rows import concatenate
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
 from gateway.errors import DataUnusable, InputError
 from tests.data.moving_arm import World, measured
 from tests.data.resting_arm import Bench
@@ -23,20 +23,20 @@ def resting(count=6):
 def test_a_rest_table_held_out_of_moving_runs_is_refused():
     table, robot, _ = measured(0, World(), duration_s=6.0)
     with pytest.raises(DataUnusable, match=r"--holdout: the fitted rows move, the held-out rows are at rest"):
-        diagnose(table, robot, DiagnoseOptions(holdout=resting()))
+        diagnose(table, robot, holdout=resting())
 
 
 def test_a_moving_run_held_out_of_rest_visits_is_refused():
     bench = Bench(3, [])
     table, _, _ = measured(0, World(), duration_s=3.0)
     with pytest.raises(DataUnusable, match="are at rest, the held-out rows move"):
-        diagnose(bench.both(), bench.robot, replace(bench.options, holdout=table))
+        diagnose(bench.both(), bench.robot, bench.options, holdout=table)
 
 
 def test_of_a_mixed_hold_out_the_rows_of_the_other_kind_are_left_out_aloud():
     table, robot, _ = measured(0, World(), duration_s=12.0)
     first, last = table.take(table.time_s < 9.0), table.take(table.time_s >= 9.5)
-    result = diagnose(first, robot, DiagnoseOptions(holdout=concatenate([last, resting()])))
+    result = diagnose(first, robot, holdout=concatenate([last, resting()]))
     assert result.holdout_kind == "given"
     assert any("6 rest rows of the hold-out were not used" in finding.what for finding in result.findings)
 
@@ -47,4 +47,4 @@ def test_a_hold_out_of_another_number_of_axes_is_refused():
         table, **{name: getattr(table, name)[:, :5] for name in ("q_rad", "qd_rad_s", "qdd_rad_s2", "tau_nm")}
     )
     with pytest.raises(InputError, match="of 5 axes, robot 'compact10' has 6"):
-        diagnose(table, robot, DiagnoseOptions(holdout=other))
+        diagnose(table, robot, holdout=other)

@@ -11,9 +11,10 @@ import pytest
 
 from gateway.data.rows import MOVING, concatenate
 from gateway.data.table import Table
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
 from gateway.errors import DataUnusable
-from gateway.estimate import EstimateOptions, run
+from gateway.estimate import run
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.repeats import negative_bands
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.result.result import Result
@@ -35,14 +36,14 @@ def table(bench: Bench) -> Table:
     return bench.both()
 
 
-def _estimate_options(bench: Bench) -> EstimateOptions:
-    return EstimateOptions(inertials="prior:0.05", efficiency=tuple(bench.arm.efficiency.tolist()))
+def _knowledge(bench: Bench) -> Knowledge:
+    return Knowledge(link_std=0.05, efficiency=tuple(bench.arm.efficiency.tolist()))
 
 
 def test_loads_and_standard_deviations_are_equal_where_no_effect_is_named(bench: Bench, table: Table) -> None:
-    options = DiagnoseOptions(efficiency=bench.arm.efficiency, gear_ratio=bench.arm.gear_ratio, only=NOTHING)
-    found = diagnose(table, bench.robot, options)
-    expected = run(table, bench.robot, _estimate_options(bench))
+    options = Knowledge(efficiency=bench.arm.efficiency, gear_ratio=bench.arm.gear_ratio)
+    found = diagnose(table, bench.robot, options, only=NOTHING)
+    expected = run(table, bench.robot, _knowledge(bench))
     assert not found.effects
     for ours, other in zip(found.loads, expected.loads, strict=True):
         assert np.isclose(ours.mass_kg, other.mass_kg, rtol=1e-9)
@@ -59,8 +60,8 @@ def test_a_table_with_outliers_is_searched_for_mistakes(bench: Bench, table: Tab
     kept = table.take(~single | (table.direction[:, 1] == np.where(table.pose % 4 == 0, 1, -1)))
     touched = kept.tau_nm.copy()
     touched[np.flatnonzero((kept.load == "tool") & (kept.pose == 3)), 2] += 60.0
-    options = replace(bench.options, only=frozenset({"axes_swapped", "static_friction"}))
-    found = diagnose(replace(kept, tau_nm=touched), bench.robot, options)
+    only = frozenset({"axes_swapped", "static_friction"})
+    found = diagnose(replace(kept, tau_nm=touched), bench.robot, bench.options, only=only)
     assert {(entry.joint, entry.pose) for entry in found.set_aside} == {(3, 3)}
     assert "static_friction" in {effect.name for effect in found.effects}
     assert abs(found.loads[0].mass_kg - bench.arm.loads["tool"].mass_kg) < 3.0 * found.loads[0].mass_std_kg
@@ -68,21 +69,21 @@ def test_a_table_with_outliers_is_searched_for_mistakes(bench: Bench, table: Tab
 
 def test_one_posture_is_refused_by_both(bench: Bench, table: Table) -> None:
     one = table.take(np.asarray(table.pose) == table.pose[0])
-    options = DiagnoseOptions(efficiency=bench.arm.efficiency, gear_ratio=bench.arm.gear_ratio)
+    options = Knowledge(efficiency=bench.arm.efficiency, gear_ratio=bench.arm.gear_ratio)
     with pytest.raises(DataUnusable, match="one posture"):
         diagnose(one, bench.robot, options)
     with pytest.raises(DataUnusable, match="one posture"):
-        run(one, bench.robot, _estimate_options(bench))
+        run(one, bench.robot, _knowledge(bench))
 
 
 def test_a_missing_effect_leaves_the_noise_floor_and_is_reported(bench: Bench, table: Table) -> None:
-    clean = run(table, bench.robot, _estimate_options(bench))
+    clean = run(table, bench.robot, _knowledge(bench))
     size = 30.0 * max(clean.noise_floor_nm[1], 0.01)
     torque = table.motor_torque_nm if np.isnan(table.tau_nm).all() else table.tau_nm
     assert torque is table.tau_nm
     bent = table.tau_nm.copy()
     bent[:, 1] += size * np.sin(5.0 * table.q_rad[:, 1])
-    wrong = run(replace(table, tau_nm=bent), bench.robot, _estimate_options(bench))
+    wrong = run(replace(table, tau_nm=bent), bench.robot, _knowledge(bench))
     assert wrong.noise_floor_nm[1] < 3.0 * clean.noise_floor_nm[1]
     assert wrong.after.rms_nm[1] > 4.0 * wrong.noise_floor_nm[1]
     assert any(f.where == "J2" and "model error" in f.what and "diagnose" in f.advice for f in wrong.findings)
@@ -90,12 +91,12 @@ def test_a_missing_effect_leaves_the_noise_floor_and_is_reported(bench: Bench, t
 
 
 def test_a_reversed_torque_sign_is_named_by_the_friction_band(bench: Bench, table: Table) -> None:
-    clean = run(table, bench.robot, _estimate_options(bench))
+    clean = run(table, bench.robot, _knowledge(bench))
     assert not any("reversed" in f.what for f in clean.findings)
     for axes in ([3], list(range(table.axes))):
         turned = table.tau_nm.copy()
         turned[:, axes] *= -1.0
-        found = run(replace(table, tau_nm=turned), bench.robot, _estimate_options(bench))
+        found = run(replace(table, tau_nm=turned), bench.robot, _knowledge(bench))
         named = {f.where for f in found.findings if f.severity == "fail" and "reversed" in f.what}
         assert named == {", ".join(f"J{k + 1}" for k in axes)}
 
@@ -166,15 +167,15 @@ def _moving_arm(
 @pytest.mark.parametrize("seed", [0, 1])
 def test_moving_loads_are_equal_where_no_effect_is_named(seed: int, axes: int, count: int) -> None:
     table, robot = _moving_arm(seed, axes, _moving_loads(axes, count))
-    expected = run(table, robot, EstimateOptions(inertials="prior:0.05"))
-    _same(diagnose(table, robot, DiagnoseOptions(inertials="prior:0.05", only=NOTHING)), expected, count)
+    expected = run(table, robot, Knowledge(link_std=0.05))
+    _same(diagnose(table, robot, Knowledge(link_std=0.05), only=NOTHING), expected, count)
 
 
 def test_a_run_too_short_to_be_judged_gives_the_loads_of_the_estimate() -> None:
     table, robot = _moving_arm(0, 2, _moving_loads(2, 1))
     table = table.take(table.time_s < 1.5)
-    expected = run(table, robot, EstimateOptions(inertials="prior:0.05"))
-    found = diagnose(table, robot, DiagnoseOptions(only=NOTHING))
+    expected = run(table, robot, Knowledge(link_std=0.05))
+    found = diagnose(table, robot, only=NOTHING)
     assert found.verdict == "undecided"
     _same(found, expected, 1)
 
@@ -183,16 +184,16 @@ def test_a_run_too_short_to_be_judged_gives_the_loads_of_the_estimate() -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_loads_of_rest_and_moving_rows_together_are_equal_where_no_effect_is_named(seed: int) -> None:
     table, robot = _moving_arm(seed, 6, _moving_loads(6, 1), poses=12)
-    expected = run(table, robot, EstimateOptions(inertials="prior:0.05"))
+    expected = run(table, robot, Knowledge(link_std=0.05))
     assert expected.motion
-    _same(diagnose(table, robot, DiagnoseOptions(only=NOTHING)), expected, 1)
+    _same(diagnose(table, robot, only=NOTHING), expected, 1)
 
 
 def test_calibrated_constants_and_a_warm_arm_reach_the_loads_of_rest_and_moving_rows_together() -> None:
     table, robot = _moving_arm(0, 2, _moving_loads(2, 1), poses=12)
     stated = {"gain_std": (0.004,) * 2, "measured_gain": (True,) * 2, "change": 0.05}
-    expected = run(table, robot, EstimateOptions(inertials="prior:0.05", **stated))
-    plain = run(table, robot, EstimateOptions(inertials="prior:0.05"))
+    expected = run(table, robot, Knowledge(link_std=0.05, **stated))
+    plain = run(table, robot, Knowledge(link_std=0.05))
     assert expected.motion
     assert expected.loads[0].mass_std_kg < 0.8 * plain.loads[0].mass_std_kg
-    _same(diagnose(table, robot, DiagnoseOptions(only=NOTHING, **stated)), expected, 1)
+    _same(diagnose(table, robot, Knowledge(**stated), only=NOTHING), expected, 1)

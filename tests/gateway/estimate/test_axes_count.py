@@ -6,7 +6,8 @@ import pytest
 from gateway.data.reading import read_data
 from gateway.data.table import write_csv
 from gateway.errors import DataUnusable
-from gateway.estimate import EstimateOptions, estimate, run
+from gateway.estimate import estimate, run
+from gateway.identify.knowledge import Knowledge
 from gateway.result.result import from_json, to_json
 from tests.cells import CELLS
 from tests.gateway.estimate.conftest import Arm, assert_same
@@ -33,10 +34,10 @@ def value_of(found):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("inertials", ["ignore", "prior:0.05", "exact"])
-def test_exact_without_noise(arm, measured, method, inertials):
+@pytest.mark.parametrize("link_std", [np.inf, 0.05, 0.0])
+def test_exact_without_noise(arm, measured, method, link_std):
     table = measured(arm, postures(arm), {"none": None, "tool": LOAD})
-    found = estimate(table, arm.robot, EstimateOptions(inertials=inertials), method)
+    found = estimate(table, arm.robot, Knowledge(link_std=link_std), method)
     assert_same(value_of(found), LOAD)
     assert found.loads[0].unidentifiable == ()
     assert found.rows.rms_nm.shape == (arm.robot.axes,)
@@ -48,7 +49,7 @@ def test_intervals_hold_the_truth(arm, measured, method):
     rng, inside = np.random.default_rng(5), []
     for _ in range(20):
         table = measured(arm, postures(arm, 8), {"none": None, "tool": LOAD}, rng, left=0.15)
-        value, std = value_of(estimate(table, arm.robot, EstimateOptions(), method))
+        value, std = value_of(estimate(table, arm.robot, Knowledge(link_std=np.inf), method))
         inside.append(np.abs(value - LOAD) < 1.96 * std)
     assert 0.86 < np.mean(inside) <= 1.0
 
@@ -60,14 +61,14 @@ def test_a_table_and_a_result_of_that_many_axes_come_back(arm, measured, tmp_pat
     read = read_data([tmp_path / "run.csv"], (), None)
     assert read.axes == axes
     np.testing.assert_array_equal(read.q_rad, table.q_rad)
-    result = run(read, arm.robot, EstimateOptions())
+    result = run(read, arm.robot, Knowledge(link_std=np.inf))
     again = from_json(to_json(result))
     assert again.loads[0].frame == f"link_{axes}"
     lists = (again.after.rms_nm, again.after.holdout_rms_nm, again.noise_floor_nm, again.friction_band_nm)
     assert {len(values) for values in lists} == {axes}
     assert len(again.next[0].poses_rad[0]) == axes
     assert len(again.bare.combination[0]) == 4 * axes
-    stored = EstimateOptions(bare=again.bare)
+    stored = Knowledge(link_std=np.inf, bare=again.bare)
     loaded = read.take(read.load == "tool")
     np.testing.assert_allclose(value_of(estimate(loaded, arm.robot, stored, "posture"))[0], LOAD, rtol=1e-3, atol=1e-4)
 
@@ -86,7 +87,7 @@ def test_a_moving_run_gives_the_load(arm):
         time=np.tile(time, 2), qd=np.tile(qd, (2, 1)), qdd=np.tile(qdd, (2, 1)),
         run=["a"] * 1500 + ["b"] * 1500,
     )  # fmt: skip
-    found = estimate(table, robot, EstimateOptions(), "joint")
+    found = estimate(table, robot, Knowledge(link_std=np.inf), "joint")
     assert found.method == "moving"
     np.testing.assert_allclose(value_of(found)[0], LOAD, rtol=2e-3, atol=2e-3)
     assert found.band_nm.shape == (robot.axes,)
@@ -99,4 +100,10 @@ def test_what_the_arm_cannot_determine_is_reported(arm, measured):
     table = measured(arm, q, {"none": None, "tool": LOAD})
     first = max(2, arm.robot.axes - 2)
     with pytest.raises(DataUnusable, match=f"turn axes {first} to {arm.robot.axes}"):
-        estimate(table, arm.robot, EstimateOptions(), "difference")
+        estimate(table, arm.robot, Knowledge(link_std=np.inf), "difference")
+
+
+def test_poses_that_are_asked_for_have_an_angle_per_axis(arm, measured):
+    table = measured(arm, postures(arm, 3), {"none": None, "tool": LOAD}, np.random.default_rng(4), left=0.1)
+    asked = [pose for entry in run(table, arm.robot, Knowledge(link_std=np.inf)).next for pose in entry.poses_rad]
+    assert {len(pose) for pose in asked} == {arm.robot.axes}

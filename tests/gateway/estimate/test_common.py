@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from gateway.errors import ConfigError, DataUnusable, GatewayError, InputError
-from gateway.estimate import ESTIMATORS, EstimateOptions, estimate, run
+from gateway.estimate import estimate, run
+from gateway.identify.knowledge import Knowledge
 from gateway.result.result import from_json, to_json
 from tests.gateway.estimate.conftest import assert_same
 
@@ -21,10 +22,10 @@ def value_of(found, label="tool"):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("inertials", ["ignore", "prior:0.05", "exact"])
-def test_exact_without_noise(arm, poses, measured, method, inertials):
+@pytest.mark.parametrize("link_std", [np.inf, 0.05, 0.0])
+def test_exact_without_noise(arm, poses, measured, method, link_std):
     table = measured(arm, poses, {"none": None, "tool": TOOL})
-    found = estimate(table, arm.robot, EstimateOptions(inertials=inertials), method)
+    found = estimate(table, arm.robot, Knowledge(link_std=link_std), method)
     assert_same(value_of(found), TOOL)
     assert found.loads[0].unidentifiable == ()
     np.testing.assert_allclose(found.rows.rms_nm, 0, atol=2e-4)
@@ -44,7 +45,7 @@ def test_gravity_from_the_wall_and_gear_efficiency(arm, poses, table_of, method,
                 rows["q"].append(poses[number])
                 rows["direction"].append(np.full(6, side))
     table = table_of(rows["load"], rows["pose"], rows["q"], rows["tau"], direction=np.array(rows["direction"]))
-    options = EstimateOptions(gravity_m_s2=gravity, efficiency=tuple(eta))
+    options = Knowledge(link_std=np.inf, gravity_m_s2=gravity, efficiency=tuple(eta))
     found = estimate(table, arm.robot, options, method)
     assert_same(value_of(found), TOOL)
     np.testing.assert_allclose(found.band_nm, band_nm, rtol=1e-6)
@@ -54,7 +55,7 @@ def test_gravity_from_the_wall_and_gear_efficiency(arm, poses, table_of, method,
 def test_the_order_of_the_rows_does_not_matter(arm, poses, measured, method):
     table = measured(arm, poses, {"none": None, "tool": TOOL}, np.random.default_rng(0), left=0.1)
     mixed = table.take(np.random.default_rng(1).permutation(len(table)))
-    one, two = (value_of(estimate(part, arm.robot, EstimateOptions(), method)) for part in (table, mixed))
+    one, two = (value_of(estimate(part, arm.robot, Knowledge(link_std=np.inf), method)) for part in (table, mixed))
     np.testing.assert_allclose(one[0], two[0], rtol=1e-6)
     np.testing.assert_allclose(one[1], two[1], rtol=1e-3)
 
@@ -67,7 +68,7 @@ def test_intervals_hold_the_truth(arm, poses, measured, method):
     inside = []
     for _ in range(30):
         table = measured(arm, poses[:8], {"none": None, "tool": TOOL}, rng, left=0.15)
-        value, std = value_of(estimate(table, arm.robot, EstimateOptions(), method))
+        value, std = value_of(estimate(table, arm.robot, Knowledge(link_std=np.inf), method))
         inside.append(np.abs(value - TOOL) < 1.96 * std)
     # of the errors of gains and biases that the intervals allow for these tables have none
     assert np.mean(inside) > 0.88
@@ -77,7 +78,7 @@ def test_intervals_hold_the_truth(arm, poses, measured, method):
 def test_a_known_first_load_replaces_the_unloaded_arm(arm, poses, measured, method):
     first = (3.0, 0.05, 0.02, -0.04)
     table = measured(arm, poses, {"first": first, "tool": TOOL})
-    options = EstimateOptions(known={"first": first}, inertials="exact" if method == "posture" else "ignore")
+    options = Knowledge(link_std=0.0 if method == "posture" else np.inf, known={"first": first})
     found = estimate(table, arm.robot, options, method)
     assert [load.label for load in found.loads] == ["tool"]
     assert_same(value_of(found), TOOL)
@@ -86,7 +87,8 @@ def test_a_known_first_load_replaces_the_unloaded_arm(arm, poses, measured, meth
 @pytest.mark.parametrize("method", METHODS)
 def test_several_loads_at_once(arm, poses, measured, method):
     other = (2.0, 0.0, 0.1, 0.02)
-    found = estimate(measured(arm, poses, {"none": None, "a": TOOL, "b": other}), arm.robot, EstimateOptions(), method)
+    table = measured(arm, poses, {"none": None, "a": TOOL, "b": other})
+    found = estimate(table, arm.robot, Knowledge(link_std=np.inf), method)
     assert_same(value_of(found, "a"), TOOL)
     assert_same(value_of(found, "b"), other)
 
@@ -95,14 +97,14 @@ def test_several_loads_at_once(arm, poses, measured, method):
 def test_one_posture_is_refused_with_the_reason(arm, poses, measured, method):
     table = measured(arm, poses[:1], {"none": None, "tool": TOOL})
     with pytest.raises(DataUnusable, match=r"one posture.*rank 3"):
-        estimate(table, arm.robot, EstimateOptions(), method)
+        estimate(table, arm.robot, Knowledge(link_std=np.inf), method)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_known_load_that_is_not_there_is_refused(arm, poses, measured, method):
     table = measured(arm, poses, {"none": None, "tool": TOOL})
     with pytest.raises(InputError, match=r"--known other"):
-        estimate(table, arm.robot, EstimateOptions(known={"other": TOOL}), method)
+        estimate(table, arm.robot, Knowledge(link_std=np.inf, known={"other": TOOL}), method)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -110,11 +112,11 @@ def test_wrist_axes_alone_leave_the_mass_open(arm, poses, measured, method):
     table = measured(arm, poses, {"none": None, "tool": TOOL})
     tau = table.tau_nm.copy()
     tau[:, :3] = np.nan
-    found = estimate(replace(table, tau_nm=tau), arm.robot, EstimateOptions(inertials="prior:0.05"), method)
+    found = estimate(replace(table, tau_nm=tau), arm.robot, Knowledge(link_std=0.05), method)
     load = found.loads[0]
     assert np.isnan(load.mass_kg)
     assert "mass_kg" in load.unidentifiable
-    said = run(replace(table, tau_nm=tau), arm.robot, EstimateOptions(inertials="prior:0.05"), method)
+    said = run(replace(table, tau_nm=tau), arm.robot, Knowledge(link_std=0.05), method)
     assert any("J1, J2, J3" in finding.where for finding in said.findings)
     assert said.after.rms_nm[0] != said.after.rms_nm[0]
 
@@ -127,9 +129,9 @@ def test_one_orientation_of_the_flange_leaves_the_height_open_or_is_refused(arm,
     table = measured(arm, q, {"none": None, "tool": TOOL})
     if method == "difference":
         with pytest.raises(DataUnusable, match="one side of the flange"):
-            estimate(table, arm.robot, EstimateOptions(), method)
+            estimate(table, arm.robot, Knowledge(link_std=np.inf), method)
         return
-    found = estimate(table, arm.robot, EstimateOptions(inertials="exact"), method)
+    found = estimate(table, arm.robot, Knowledge(link_std=0.0), method)
     load = found.loads[0]
     assert load.unidentifiable == ("com_z_m",)
     np.testing.assert_allclose([load.mass_kg, load.com_m[0]], TOOL[:2], rtol=2e-2)
@@ -141,7 +143,7 @@ def test_one_orientation_of_the_flange_leaves_the_height_open_or_is_refused(arm,
 @pytest.mark.parametrize("method", METHODS)
 def test_result_file_round_trip(arm, poses, measured, method):
     table = measured(arm, poses, {"none": None, "tool": TOOL}, np.random.default_rng(0), left=0.1)
-    result = run(table, arm.robot, EstimateOptions(), method, {"data": ["made.csv"]})
+    result = run(table, arm.robot, Knowledge(link_std=np.inf), method, {"data": ["made.csv"]})
     again = from_json(to_json(result))
     assert to_json(again) == to_json(result)
     load = again.loads[0]
@@ -156,10 +158,9 @@ def test_result_file_round_trip(arm, poses, measured, method):
 def test_an_unknown_method_or_no_robot(arm, poses, measured):
     table = measured(arm, poses, {"none": None, "tool": TOOL})
     with pytest.raises(ConfigError, match="--method guess"):
-        estimate(table, arm.robot, EstimateOptions(), "guess")
+        estimate(table, arm.robot, Knowledge(link_std=np.inf), "guess")
     with pytest.raises(ConfigError, match="robot model"):
-        estimate(table, None, EstimateOptions(), "joint")
-    assert set(ESTIMATORS) == {"joint", "difference", "posture", "coefficient"}
+        estimate(table, None, Knowledge(link_std=np.inf), "joint")
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -167,7 +168,7 @@ def test_no_rest_rows(arm, poses, measured, method):
     table = measured(arm, poses, {"none": None, "tool": TOOL})
     empty = table.take(np.zeros(len(table), dtype=bool))
     with pytest.raises(DataUnusable):
-        estimate(empty, arm.robot, EstimateOptions(), method)
+        estimate(empty, arm.robot, Knowledge(link_std=np.inf), method)
 
 
 def broken(table, rng):
@@ -196,7 +197,7 @@ def test_whatever_the_rows_are_a_result_or_a_typed_error_comes_out(arm, measured
         loads = {"none": None, "tool": (rng.choice([0.0, 0.5, 50.0]), *(0.2 * rng.normal(size=3)))}
         sides = [(1, -1), (1,), (-1,)][rng.integers(3)]
         table = broken(measured(arm, q, loads, rng, left=rng.choice([0.0, 0.1, 1.0]), sides=sides), rng)
-        options = EstimateOptions(inertials=str(rng.choice(["ignore", "exact", "prior:0.05"])))
+        options = Knowledge(link_std=float(rng.choice([np.inf, 0.0, 0.05])))
         with contextlib.suppress(GatewayError):
             result = run(table, arm.robot, options, method)
             assert to_json(from_json(to_json(result))) == to_json(result)

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.estimate import EstimateOptions, run
+from gateway.estimate import run
+from gateway.identify.knowledge import Knowledge
 from gateway.result.compare import compare
 
 TOOL = (8.0, 0.12, -0.03, 0.05)
@@ -14,7 +15,7 @@ def result(arm, poses, measured, seed, mass_kg=TOOL[0], scale=(1.0,) * 6):
     """Estimate of the tool, with the true torque constants of the axes larger by `scale`."""
     loads = {"none": None, "tool": (mass_kg, *TOOL[1:])}
     table = measured(arm, poses, loads, np.random.default_rng(seed), left=0.02)
-    options = EstimateOptions(inertials="prior:0.05", gain_std=(0.03,) * 6)
+    options = Knowledge(link_std=0.05, gain_std=(0.03,) * 6)
     return run(replace(table, tau_nm=table.tau_nm / np.array(scale)), arm.robot, options)
 
 

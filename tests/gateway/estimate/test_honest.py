@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.estimate import EstimateOptions, estimate, run
+from gateway.estimate import estimate, run
 from gateway.estimate.difference import estimate_difference
 from gateway.estimate.joint import estimate_joint
 from gateway.estimate.posture import estimate_posture
+from gateway.identify.knowledge import Knowledge
 from gateway.model.visits import pair_visits
 
 BY_METHOD = {"joint": estimate_joint, "difference": estimate_difference, "posture": estimate_posture}
@@ -82,7 +83,7 @@ def test_intervals_hold_the_truth_in_every_condition(arm, poses, gravity, band_n
         hits = []
         for seed in range(seeds):
             table = measured_by(nature, gravity, poses, band_nm, table_of, np.random.default_rng([seed, 4]))
-            hits.append(inside(BY_METHOD[method](pair_visits(table), arm.robot, EstimateOptions())))
+            hits.append(inside(BY_METHOD[method](pair_visits(table), arm.robot, Knowledge(link_std=np.inf))))
         hold[name] = float(np.mean(hits))
     few = seeds < SEEDS
     assert (0.91 if few else 0.93) <= np.mean(list(hold.values())) <= (0.99 if few else 0.97), hold
@@ -97,7 +98,7 @@ def test_an_interval_without_gains_holds_the_truth_too_seldom(arm, poses, gravit
     for seed in range(60):
         rng = np.random.default_rng([seed, 4])
         table = measured_by(CONDITIONS["gains"], gravity, poses, 0.1 * band_nm, table_of, rng)
-        options = EstimateOptions(gain_std=(0.0,) * 6)
+        options = Knowledge(link_std=np.inf, gain_std=(0.0,) * 6)
         hits.append(inside(estimate_difference(pair_visits(table), arm.robot, options)))
     assert np.mean(hits) < 0.66
 
@@ -108,7 +109,7 @@ def test_unstated_gear_losses_widen_the_interval_and_are_named(arm, poses, gravi
     hits = []
     for seed in range(12):
         table = measured_by(nature, gravity, poses, 0.02 * band_nm, table_of, np.random.default_rng([seed, 5]))
-        found = run(table, arm.robot, EstimateOptions(inertials="ignore"))
+        found = run(table, arm.robot, Knowledge(link_std=np.inf))
         hits.append(inside(found)[0])
         said = {finding.where: finding.what for finding in found.findings}
         assert "efficiency 0.7" in said["J2"]
@@ -118,7 +119,7 @@ def test_unstated_gear_losses_widen_the_interval_and_are_named(arm, poses, gravi
 
 def test_a_usual_loss_is_not_named(arm, poses, gravity, band_nm, table_of):
     table = measured_by(Nature(loss=(0.05, 0.0)), gravity, poses, band_nm, table_of, np.random.default_rng(1))
-    found = run(table, arm.robot, EstimateOptions())
+    found = run(table, arm.robot, Knowledge(link_std=np.inf))
     assert not [finding for finding in found.findings if "efficiency" in finding.what]
 
 
@@ -140,8 +141,8 @@ def test_a_known_mass_shrinks_gains_and_mass(arm, poses, band_nm, table_of):
                 rows["direction"].append(np.full(6, side))
         table = table_of(rows["load"], rows["pose"], rows["q"], rows["tau"], direction=np.array(rows["direction"]))
         without = table.take(table.load != "weight")
-        alone.append(estimate(without, arm.robot, EstimateOptions()))
-        beside.append(estimate(table, arm.robot, EstimateOptions(known={"weight": other})))
+        alone.append(estimate(without, arm.robot, Knowledge(link_std=np.inf)))
+        beside.append(estimate(table, arm.robot, Knowledge(link_std=np.inf, known={"weight": other})))
         held = np.abs(np.array(beside[-1].nuisance["gain"].value)[1:] - (gain - 1.0)[1:])
         assert (held < 4 * np.array(beside[-1].nuisance["gain"].std)[1:]).all()
     stds = [[found.loads[0].mass_std_kg for found in kind] for kind in (alone, beside)]
@@ -152,7 +153,7 @@ def test_a_known_mass_shrinks_gains_and_mass(arm, poses, band_nm, table_of):
 @pytest.mark.parametrize("method", BY_METHOD)
 def test_a_budget_sums_to_one_and_says_what_would_shrink_it(arm, poses, gravity, band_nm, table_of, method):
     table = measured_by(CONDITIONS["gains"], gravity, poses, band_nm, table_of, np.random.default_rng(2))
-    found = estimate(table, arm.robot, EstimateOptions(), method)
+    found = estimate(table, arm.robot, Knowledge(link_std=np.inf), method)
     budget = found.loads[0].budget
     assert set(budget) - {"zeros", "cable"} == {"constants", "links", "friction", "drift", "noise"}
     assert sum(budget.values()) == pytest.approx(1.0)
@@ -167,7 +168,7 @@ def test_a_budget_sums_to_one_and_says_what_would_shrink_it(arm, poses, gravity,
 def test_exact_constants_leave_nothing_to_them(arm, poses, gravity, band_nm, table_of):
     table = measured_by(Nature(), gravity, poses, band_nm, table_of, np.random.default_rng(3))
     exact, trusted = (
-        estimate(table, arm.robot, EstimateOptions(gain_std=std)).loads[0] for std in ((0.0,) * 6, (0.01,) * 6)
+        estimate(table, arm.robot, Knowledge(np.inf, gain_std=std)).loads[0] for std in ((0.0,) * 6, (0.01,) * 6)
     )
     assert exact.budget["constants"] < 0.1
     assert exact.mass_std_kg < trusted.mass_std_kg
@@ -176,17 +177,17 @@ def test_exact_constants_leave_nothing_to_them(arm, poses, gravity, band_nm, tab
 def test_a_gain_of_half_is_refused(arm, poses, gravity, band_nm, table_of):
     table = measured_by(Nature(), gravity, poses, band_nm, table_of, np.random.default_rng(3))
     with pytest.raises(ConfigError, match="a torque constant known to 50 % does not determine a mass"):
-        estimate(table, arm.robot, EstimateOptions(gain_std=(0.5,) * 6))
+        estimate(table, arm.robot, Knowledge(link_std=np.inf, gain_std=(0.5,) * 6))
 
 
 def test_a_bare_identification_keeps_the_gains_it_was_made_with(arm, poses, gravity, band_nm, table_of):
     """Gains err equally under the load: a stored unloaded arm gives as narrow an interval as bare rows in the table."""
     table = measured_by(CONDITIONS["gains"], gravity, poses, band_nm, table_of, np.random.default_rng(7))
-    bare = estimate(table.take(table.load == "none"), arm.robot, EstimateOptions()).bare
-    stored = estimate(table.take(table.load == "tool"), arm.robot, EstimateOptions(bare=bare)).loads[0]
-    together = estimate(table, arm.robot, EstimateOptions()).loads[0]
+    bare = estimate(table.take(table.load == "none"), arm.robot, Knowledge(link_std=np.inf)).bare
+    stored = estimate(table.take(table.load == "tool"), arm.robot, Knowledge(link_std=np.inf, bare=bare)).loads[0]
+    together = estimate(table, arm.robot, Knowledge(link_std=np.inf)).loads[0]
     forgotten = estimate(
-        table.take(table.load == "tool"), arm.robot, EstimateOptions(bare=replace(bare, gain=(), gain_covariance=()))
+        table.take(table.load == "tool"), arm.robot, Knowledge(np.inf, bare=replace(bare, gain=(), gain_covariance=()))
     ).loads[0]
     assert stored.mass_std_kg == pytest.approx(together.mass_std_kg, rel=0.3)
     assert forgotten.mass_std_kg > 1.2 * stored.mass_std_kg

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
 from gateway.errors import InputError
-from gateway.estimate import Coefficient, EstimateOptions, run
+from gateway.estimate import Coefficient, run
+from gateway.identify.knowledge import Knowledge
 
 WEIGHT, TOOL = (10.0, 0.05, -0.02, 0.08), (8.0, 0.12, -0.03, 0.05)
 GAIN = np.array([0.0, 0.06, -0.05, 0.04, -0.06, 0.05])
@@ -22,7 +23,7 @@ def table(arm, poses, measured):
 
 
 def test_the_mass_alone_gives_the_torque_constants_and_the_other_load(table, arm):
-    stated = EstimateOptions(gain_std=(0.05,) * 6, change=0.05)
+    stated = Knowledge(link_std=np.inf, gain_std=(0.05,) * 6, change=0.05)
     plain = run(table, arm.robot, stated)
     result = run(table, arm.robot, replace(stated, masses={"weight": WEIGHT[0]}))
     gain = result.nuisance["gain"]
@@ -41,12 +42,12 @@ def test_the_mass_alone_gives_the_torque_constants_and_the_other_load(table, arm
 
 @pytest.mark.slow
 def test_every_method_and_the_diagnosis_take_it(table, arm):
-    options = EstimateOptions(masses={"weight": WEIGHT[0]}, gain_std=(0.05,) * 6)
+    options = Knowledge(link_std=np.inf, masses={"weight": WEIGHT[0]}, gain_std=(0.05,) * 6)
     for method in ("difference", "posture"):
         loads = {load.label: load for load in run(table, arm.robot, options, method).loads}
         assert loads["weight"].mass_kg == pytest.approx(WEIGHT[0], rel=1e-3), method
         assert abs(loads["tool"].mass_kg - TOOL[0]) < 4 * loads["tool"].mass_std_kg, method
-    found = diagnose(table, arm.robot, DiagnoseOptions(masses={"weight": WEIGHT[0]}, gain_std=(0.05,) * 6))
+    found = diagnose(table, arm.robot, Knowledge(masses={"weight": WEIGHT[0]}, gain_std=(0.05,) * 6))
     loads = {load.label: load for load in found.loads}
     assert loads["weight"].mass_kg == pytest.approx(WEIGHT[0], rel=1e-3)
     assert abs(loads["tool"].mass_kg - TOOL[0]) < 4 * loads["tool"].mass_std_kg
@@ -60,23 +61,23 @@ def test_one_axis_with_a_lever_takes_it(table, arm):
     tau[:, 1] = 9.81 * torque * lever
     made = replace(table, tau_nm=tau, extra={"x_k_m": lever}).take(table.load != "none")
     how = Coefficient(2, "x_k_m", 100.0, 1.0)
-    result = run(made, None, EstimateOptions(masses={"weight": WEIGHT[0]}, coefficient=how), "coefficient")
+    result = run(made, None, Knowledge(link_std=np.inf, masses={"weight": WEIGHT[0]}), "coefficient", coefficient=how)
     assert [load.label for load in result.loads] == ["tool"]
 
 
 def test_a_label_that_no_row_carries_is_refused(table, arm):
     for method in ("joint", "difference", "posture"):
         with pytest.raises(InputError, match="--known anvil: no row carries this load"):
-            run(table, arm.robot, EstimateOptions(masses={"anvil": 5.0}), method)
+            run(table, arm.robot, Knowledge(link_std=np.inf, masses={"anvil": 5.0}), method)
     with pytest.raises(InputError, match="--known anvil: no row carries this load"):
-        diagnose(table, arm.robot, DiagnoseOptions(masses={"anvil": 5.0}))
+        diagnose(table, arm.robot, Knowledge(masses={"anvil": 5.0}))
 
 
 def test_rows_in_motion_need_the_centre(table, arm):
     moving = replace(table, moving=np.ones(len(table.load), dtype=bool))
     for call in (
-        lambda: run(moving, arm.robot, EstimateOptions(masses={"weight": 10.0})),
-        lambda: diagnose(moving, arm.robot, DiagnoseOptions(masses={"weight": 10.0})),
+        lambda: run(moving, arm.robot, Knowledge(link_std=np.inf, masses={"weight": 10.0})),
+        lambda: diagnose(moving, arm.robot, Knowledge(masses={"weight": 10.0})),
     ):
         with pytest.raises(InputError, match="state weight=10,X,Y,Z"):
             call()

@@ -10,8 +10,9 @@ import pytest
 from gateway.data.rows import concatenate
 from gateway.data.table import read_csv
 from gateway.errors import DataUnusable, InputError
-from gateway.estimate import EstimateOptions, estimate, run
+from gateway.estimate import estimate, run
 from gateway.estimate.moving_estimate import estimate_moving
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.columns import MovingSetup
 from gateway.model.robot import robot_from_urdf
 from tests.data.moving_arm import World, measured, several
@@ -51,12 +52,12 @@ def friction(found, name):
     return [value for key, value in zip(found.names, found.value, strict=True) if key.startswith(name)]
 
 
-@pytest.mark.parametrize("inertials", ["ignore", "exact", "prior:0.05"])
-def test_friction_and_residual_of_a_bare_run(arm, table_of, inertials):
-    found = estimate(moving_table(arm, table_of), arm.robot, EstimateOptions(inertials=inertials))
+@pytest.mark.parametrize("link_std", [np.inf, 0.0, 0.05])
+def test_friction_and_residual_of_a_bare_run(arm, table_of, link_std):
+    found = estimate(moving_table(arm, table_of), arm.robot, Knowledge(link_std=link_std))
     np.testing.assert_allclose(friction(found, "coulomb"), COULOMB, rtol=1e-3)
     np.testing.assert_allclose(friction(found, "viscous"), VISCOUS, rtol=1e-3)
-    if inertials == "exact":  # else the rotor inertia of axis 1 lumps with the links
+    if link_std == 0.0:  # else the rotor inertia of axis 1 lumps with the links
         np.testing.assert_allclose(friction(found, "rotor_inertia"), ROTOR, rtol=1e-3)
         np.testing.assert_allclose(friction(found, "offset"), OFFSET, atol=1e-3)
     np.testing.assert_allclose(found.rows.rms_nm, 0, atol=1e-2)
@@ -67,7 +68,7 @@ def test_load_from_bare_and_loaded_run(arm, table_of):
     table = concatenate(
         [moving_table(arm, table_of, noise=0.5), moving_table(arm, table_of, "tool", TOOL, seed=1, noise=0.5)]
     )
-    load = estimate(table, arm.robot, EstimateOptions(inertials="prior:0.05")).loads[0]
+    load = estimate(table, arm.robot, Knowledge(link_std=0.05)).loads[0]
     assert load.mass_kg == pytest.approx(TOOL[0], rel=0.06)
     np.testing.assert_allclose(load.com_m, TOOL[1:], atol=0.03)
 
@@ -75,14 +76,14 @@ def test_load_from_bare_and_loaded_run(arm, table_of):
 def test_load_with_known_links_and_a_known_load(arm, table_of):
     point = (5.0, 0.1, 0.0, 0.0)
     table = moving_table(arm, table_of, "tool", point, noise=0.1)
-    options = EstimateOptions(inertials="exact", known={"tool": point})
+    options = Knowledge(link_std=0.0, known={"tool": point})
     assert (estimate(table, arm.robot, options).rows.rms_nm < 0.2).all()
     with pytest.raises(InputError, match="--known other"):
-        estimate(table, arm.robot, EstimateOptions(known={"other": point}))
+        estimate(table, arm.robot, Knowledge(link_std=np.inf, known={"other": point}))
 
 
 def test_a_loaded_run_alone_lumps_with_link_6(arm, table_of):
-    result = run(moving_table(arm, table_of, "tool", TOOL), arm.robot, EstimateOptions())
+    result = run(moving_table(arm, table_of, "tool", TOOL), arm.robot, Knowledge(link_std=np.inf))
     assert np.isnan(result.loads[0].mass_kg)
     assert len(result.loads[0].unidentifiable) == 4
     assert any("cannot be separated from link 6" in finding.what for finding in result.findings)
@@ -91,7 +92,7 @@ def test_a_loaded_run_alone_lumps_with_link_6(arm, table_of):
 
 def test_slow_rows_are_left_out_by_the_speed_limit(arm, table_of):
     table = moving_table(arm, table_of)
-    found = estimate_moving(table, arm.robot, EstimateOptions(), MovingSetup(slow_share=0.1))
+    found = estimate_moving(table, arm.robot, Knowledge(link_std=np.inf), MovingSetup(slow_share=0.1))
     slow = np.abs(table.qd_rad_s) < 0.1 * arm.robot.velocity_rad_s
     assert slow.any()
     np.testing.assert_array_equal(np.isnan(found.rows.tau_nm), slow)
@@ -99,9 +100,9 @@ def test_slow_rows_are_left_out_by_the_speed_limit(arm, table_of):
 
 def test_too_short_a_run(arm, table_of):
     with pytest.raises(DataUnusable, match="fewer than"):
-        estimate(moving_table(arm, table_of).take(np.arange(5)), arm.robot, EstimateOptions())
+        estimate(moving_table(arm, table_of).take(np.arange(5)), arm.robot, Knowledge(link_std=np.inf))
     with pytest.raises(DataUnusable, match="no moving rows"):
-        estimate_moving(moving_table(arm, table_of).take(np.zeros(400, dtype=bool)), arm.robot, EstimateOptions())
+        estimate_moving(moving_table(arm, table_of).take(np.zeros(400, dtype=bool)), arm.robot, Knowledge())
 
 
 def measured_run(folder, name, file):
@@ -119,7 +120,7 @@ def test_intervals_of_four_loads_hold_the_truth_with_gains_and_losses_as_every_a
     off = []
     for seed in range(6):
         table, robot = several(seed, LOADS)
-        for load in run(table, robot, EstimateOptions(inertials="prior:0.05")).loads:
+        for load in run(table, robot, Knowledge(link_std=0.05)).loads:
             mass, *com = LOADS[load.label]
             off.append((load.mass_kg - mass) / load.mass_std_kg)
             off += [(value - true) / std for value, true, std in zip(load.com_m, com, load.com_std_m, strict=True)]
@@ -132,17 +133,15 @@ def test_intervals_of_four_loads_hold_the_truth_with_gains_and_losses_as_every_a
 def test_a_gain_beyond_its_usual_range_is_not_taken_for_one():
     """A balancer that the model lacks looks like gravity of the other sign: the gain has a limit."""
     table, robot, _ = measured(1, World(coil=(20_000.0, 0.2, 0.7, 0.4)))
-    gain = estimate(table, robot, EstimateOptions(inertials="prior:0.01")).nuisance["gain"]
+    gain = estimate(table, robot, Knowledge(link_std=0.01)).nuisance["gain"]
     assert np.abs(gain.value).max() < 0.065
-    free = estimate(table, robot, EstimateOptions(inertials="prior:0.01", gain_std=(0.001,) * 6)).nuisance["gain"]
+    free = estimate(table, robot, Knowledge(link_std=0.01, gain_std=(0.001,) * 6)).nuisance["gain"]
     assert np.abs(free.value).max() < 0.02
 
 
 def test_the_stated_torque_constants_decide_the_uncertainty_of_a_mass():
     table, robot = several(2, {"none": None, "b": LOADS["b"]})
-    certain, unsure = (
-        run(table, robot, EstimateOptions(inertials="prior:0.05", gain_std=(std,) * 6)).loads[0] for std in (0.0, 0.03)
-    )
+    certain, unsure = (run(table, robot, Knowledge(link_std=0.05, gain_std=(std,) * 6)).loads[0] for std in (0.0, 0.03))
     assert unsure.mass_std_kg > 1.2 * certain.mass_std_kg
     assert unsure.budget["constants"] > certain.budget["constants"]
 
@@ -151,7 +150,7 @@ def test_the_stated_torque_constants_decide_the_uncertainty_of_a_mass():
 def test_measured_run_of_a_tx40(measured_data):
     """Published with the data: base parameters and friction, slow rows left out."""
     table, robot = measured_run(measured_data, "tx40", "run_1_first.csv")
-    found = estimate_moving(table, robot, EstimateOptions(), MovingSetup(nuisances=()))
+    found = estimate_moving(table, robot, Knowledge(link_std=np.inf), MovingSetup(nuisances=()))
     np.testing.assert_allclose(found.rows.rms_nm, [1.49, 1.47, 0.96, 0.42, 4.12, 1.41], atol=0.006)
     assert found.rank == 36 + 24 - 2  # the rotors of axes 1 and 2 lump with the links they turn
 
@@ -159,9 +158,9 @@ def test_measured_run_of_a_tx40(measured_data):
 @pytest.mark.data
 def test_measured_run_of_a_ur10(measured_data):
     table, robot = measured_run(measured_data, "ur10", "run_1_first.csv")
-    found = estimate_moving(table, robot, EstimateOptions(), MovingSetup(slow_share=0.0, nuisances=()))
+    found = estimate_moving(table, robot, Knowledge(link_std=np.inf), MovingSetup(slow_share=0.0, nuisances=()))
     np.testing.assert_allclose(found.rows.rms_nm, [2.87, 1.88, 1.71, 0.37, 0.34, 1.36], atol=0.006)
-    assert (estimate(table, robot, EstimateOptions()).rows.rms_nm <= found.rows.rms_nm).all()
+    assert (estimate(table, robot, Knowledge(link_std=np.inf)).rows.rms_nm <= found.rows.rms_nm).all()
 
 
 @pytest.mark.data
@@ -169,13 +168,13 @@ def test_measured_run_of_a_kr300(measured_data):
     """CAD links fixed, no offset, equal weights first and three times the residual's: the published figures."""
     table, robot = measured_run(measured_data, "kr300", "run_A.csv")
     motion = MovingSetup(smooth_rad_s=0.01, slow_share=0.0, passes=4, nuisances=())
-    found = estimate_moving(table, robot, EstimateOptions(inertials="exact"), motion)
+    found = estimate_moving(table, robot, Knowledge(link_std=0.0), motion)
     np.testing.assert_allclose(found.rows.rms_nm, [236, 907, 1449, 58, 44, 41], rtol=0.01)
     load = found.loads[0]
     assert load.mass_kg == pytest.approx(27, abs=0.5)
     assert load.com_m[2] + 0.24 == pytest.approx(-1.55, abs=0.01)  # before the flange, which is at z = -0.24 m
     assert load.mass_std_kg > 10  # and the interval says how little that means
-    said = run(table, robot, EstimateOptions(inertials="exact")).findings
+    said = run(table, robot, Knowledge(link_std=0.0)).findings
     assert any("diagnose" in finding.advice for finding in said)
 
 
@@ -201,7 +200,7 @@ def test_all_ten_parameters_of_a_load_come_back_without_noise(arm, table_of):
     bare, loaded = moving_table(arm, table_of), moving_table(arm, table_of, "tool", TOOL, seed=1)
     loaded = replace(loaded, tau_nm=with_inertia(arm, loaded.q_rad, loaded.qd_rad_s, loaded.qdd_rad_s2, loaded.tau_nm))
     bare = replace(bare, tau_nm=bare.tau_nm - OFFSET)
-    options = EstimateOptions(inertials="ignore", gain_std=(0.0,) * 6)
+    options = Knowledge(link_std=np.inf, gain_std=(0.0,) * 6)
     load = run(concatenate([bare, loaded]), arm.robot, options).loads[0]
     assert load.mass_kg == pytest.approx(TOOL[0], rel=1e-4)
     np.testing.assert_allclose(load.com_m, TOOL[1:], atol=1e-4)
@@ -219,14 +218,14 @@ def run_and_loaded_run(request, arm, poses, measured, table_of):
     return concatenate(table)
 
 
-@pytest.mark.parametrize("inertials", ["prior:0.05", "exact"])
+@pytest.mark.parametrize("link_std", [0.05, 0.0])
 @pytest.mark.parametrize(("factor", "warned"), [(1.0, False), (0.8, True), (3.0, True)])
 def test_link_masses_that_a_motion_contradicts_are_named_and_not_used(
-    arm, run_and_loaded_run, inertials, factor, warned
+    arm, run_and_loaded_run, link_std, factor, warned
 ):
     table = run_and_loaded_run
     robot = replace(arm.robot, mass_kg=factor * arm.robot.mass_kg, inertia_kg_m2=factor * arm.robot.inertia_kg_m2)
-    found = estimate(table, robot, EstimateOptions(inertials=inertials))
+    found = estimate(table, robot, Knowledge(link_std=link_std))
     conflicts = [finding for finding in found.findings if finding.check == "link_masses"]
     assert [finding.severity for finding in conflicts] == ["warn"] * warned
     assert abs(found.loads[0].mass_kg - TOOL[0]) < 3 * found.loads[0].mass_std_kg
@@ -239,7 +238,7 @@ def test_a_placeholder_inertia_of_a_link_is_named_and_not_used(arm, table_of):
     exported = replace(arm, text=arm.text.replace(last, re.sub("0.025?|0.03", "20", last)))
     parts = [("none", None, 0), ("tool", TOOL, 1)]
     table = concatenate([moving_table(arm, table_of, label, load, seed, noise=0.5) for label, load, seed in parts])
-    found = estimate(table, exported.robot, EstimateOptions(inertials="prior:0.05"))
+    found = estimate(table, exported.robot, Knowledge(link_std=0.05))
     assert [each.where for each in found.findings if each.check == "link_inertia_placeholder"] == ["link_6"]
     (load,) = found.loads
     assert (np.abs(load.com_m - TOOL[1:]) < 2.5 * load.com_std_m).all()

@@ -8,7 +8,8 @@ import pytest
 
 from gateway.data.periods import MOTION_HZ
 from gateway.data.rows import MOVING, concatenate
-from gateway.estimate import EstimateOptions, estimate, run
+from gateway.estimate import estimate, run
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.columns import MovingSetup, moving_columns
 from gateway.model.robot import link_lengths_m
 from tests.data.arms import peer_of
@@ -24,7 +25,7 @@ ROTOR = np.array([8.0, 8.0, 5.0, 1.0, 0.6, 0.3])
 DELAY = np.array([0.004, 0.003, 0.006, 0.002, 0.005, 0.004])
 LOSS = 0.04
 PERIOD_S, RATE_HZ = 8.0, 100.0
-EXACT = EstimateOptions(inertials="exact", gain_std=(0.0,) * 6)
+EXACT = Knowledge(link_std=0.0, gain_std=(0.0,) * 6)
 
 
 def states(time_s):
@@ -203,7 +204,7 @@ def test_a_fall_from_breakaway_of_any_shape_is_not_taken_for_coulomb_friction(cl
 @pytest.mark.slow
 def test_torques_without_stated_constants_may_all_share_one_error(clean, robot):
     """A factor of all torques moves the mass by as much: half of the variance is common, stated or not."""
-    table, rough = table_of_periods(clean, noise_nm=0.3, seed=4), replace(EXACT, inertials="prior:0.05")
+    table, rough = table_of_periods(clean, noise_nm=0.3, seed=4), replace(EXACT, link_std=0.05)
     by_std = {std: run(table, robot, replace(rough, gain_std=std)).loads[0] for std in (None, (0.03,) * 6)}
     assert by_std[None].mass_std_kg == pytest.approx(by_std[(0.03,) * 6].mass_std_kg)
     assert 0.03 * MASS / np.sqrt(6.0) < by_std[None].mass_std_kg < 0.04 * MASS
@@ -212,7 +213,7 @@ def test_torques_without_stated_constants_may_all_share_one_error(clean, robot):
 
 def test_links_that_share_one_error_are_known_by_their_masses(clean, robot):
     """A factor of every link looks like a gain of all axes: ten numbers of a link determine it once, not ten times."""
-    trust, options = 0.05, EstimateOptions(inertials="prior:0.05")
+    trust, options = 0.05, Knowledge(link_std=0.05)
     columns = moving_columns(table_of_periods(clean, periods=1), robot, options, MovingSetup())
     factor = np.where(np.arange(len(columns.names)) < columns.bodies, columns.prior.mean, 0.0)
     known = (factor @ columns.prior.precision @ factor) ** -0.5
@@ -307,7 +308,7 @@ def rest_table(clean_q, label, load, band=2.0):
 def test_rest_and_moving_rows_make_one_solution(clean, robot, poses):
     moving = table_of_periods(clean, 1.0)
     rest = concatenate([rest_table(poses, "none", False), rest_table(poses, "tool", True)])
-    options = EstimateOptions(inertials="prior:0.05", gain_std=(0.0,) * 6)
+    options = Knowledge(link_std=0.05, gain_std=(0.0,) * 6)
     both, moved, still = (run(table, robot, options) for table in (concatenate([rest, moving]), moving, rest))
     load = both.loads[0]
     assert both.method == "joint"

@@ -10,7 +10,8 @@ import pinocchio
 import pytest
 
 from gateway.data.rows import Table, concatenate
-from gateway.estimate import EstimateOptions, estimate
+from gateway.estimate import estimate
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
 from tests.data.arms import peer_of
 from tests.support.rigs.tables import make_table
@@ -23,7 +24,7 @@ POSES = np.random.default_rng(4).uniform(-LIMIT, LIMIT, (10, 6))
 BAND_NM = np.array([10.0, 8.0, 5.0, 1.0, 1.0, 0.5])
 #: One standard deviation of the change of an axis and of all axes on one occasion, and a pattern of it.
 CHANGE = 0.003 + 0.004 * np.array([1, -1, 1, -1, 1, 1])
-PRECISE = EstimateOptions(gain_std=(0.003,) * 6)
+PRECISE = Knowledge(link_std=np.inf, gain_std=(0.003,) * 6)
 
 
 def torque_nm(load: str, q, qd=None, qdd=None) -> np.ndarray:
@@ -93,7 +94,7 @@ def test_recordings_in_motion_may_read_differently(recorded, change):
 def test_three_percent_mean_the_same_in_motion_whether_stated_or_usual():
     """Half of the variance of the constants is common to all axes in both."""
     table = concatenate([motion("none", "a"), motion("tool", "b", start_s=100.0)])
-    usual, stated = (estimate(table, ROBOT, EstimateOptions(gain_std=std)).loads[0] for std in (None, (0.03,) * 6))
+    usual, stated = (estimate(table, ROBOT, replace(PRECISE, gain_std=std)).loads[0] for std in (None, (0.03,) * 6))
     assert stated.mass_std_kg == pytest.approx(usual.mass_std_kg)
     assert stated.mass_kg == pytest.approx(usual.mass_kg)
 

@@ -9,7 +9,8 @@ import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
 from gateway.diagnose import diagnose
-from gateway.estimate import EstimateOptions, run
+from gateway.estimate import run
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
 from tests.data.arms import peer_of, urdf_of
 from tests.support.rigs.tables import make_table
@@ -51,7 +52,7 @@ def table(seed: int, sides: str):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_friction_that_grows_with_the_torque_is_no_mass(seed: int, sides: str) -> None:
     measured, robot = table(seed, sides)
-    options = EstimateOptions(inertials="prior:0.02", gain_std=(0.0,) * 6)
+    options = Knowledge(link_std=0.02, gain_std=(0.0,) * 6)
     found = run(measured, robot, options).loads[0]
     assert abs(found.mass_kg - MASS) < 3.0 * found.mass_std_kg
     assert abs(found.mass_kg / MASS - 1.0) < 0.02
@@ -64,7 +65,7 @@ def test_friction_of_unknown_side_is_reported_and_widens_the_interval(seed: int)
     """All visits lift, and the table does not say so: friction looks like a tenth more mass."""
     measured, robot = table(seed, "lifting")
     measured = replace(measured, direction=np.zeros_like(measured.direction))
-    found = run(measured, robot, EstimateOptions(inertials="prior:0.05"))
+    found = run(measured, robot, Knowledge(link_std=0.05))
     (load,) = found.loads
     assert abs(load.mass_kg - MASS) < 1.96 * load.mass_std_kg
     (finding,) = [each for each in found.findings if each.where == "approach"]
@@ -82,7 +83,7 @@ def test_no_offset_is_named_where_no_side_is_known() -> None:
 
 def test_the_load_friction_of_one_sided_visits_is_reported() -> None:
     measured, robot = table(1, "by chance")
-    options = EstimateOptions(inertials="exact", gain_std=(0.0,) * 6)
+    options = Knowledge(link_std=0.0, gain_std=(0.0,) * 6)
     found = run(measured, robot, options).nuisance["load_friction"]
     value, std = np.array(found.value), np.array(found.std)
     assert np.isfinite(value).all()

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gateway.estimate import EstimateOptions, recommendation
+from gateway.estimate import recommendation
 from gateway.estimate.recommendation import cost_of_missing_axes, next_pose
 from gateway.identify.budget import CONSTANTS
+from gateway.identify.knowledge import Knowledge
 from gateway.model.information import payload_information
 from gateway.model.regressor import load_regressor
 
@@ -30,7 +31,7 @@ def test_cost_is_the_ratio_of_the_standard_deviations(arm, poses, missing):
     sigma = SIGMA.copy()
     sigma[missing] = np.nan
     full = np.where(np.isnan(sigma), np.nanmedian(sigma), sigma)
-    cost = cost_of_missing_axes(arm.robot, poses, sigma, EstimateOptions())
+    cost = cost_of_missing_axes(arm.robot, poses, sigma, Knowledge())
     assert cost == pytest.approx(mass_std(arm.robot, poses, sigma) / mass_std(arm.robot, poses, full), rel=1e-6)
     assert cost >= 1.0
 
@@ -45,8 +46,8 @@ def test_no_pose_takes_away_what_the_constants_leave_open(arm, constants):
         unidentifiable=(),
         budget={CONSTANTS: constants, "noise": 1.0 - constants},
     )
-    alone = next_pose(without_constants(load), arm.robot, SIGMA, EstimateOptions())
-    found = next_pose(load, arm.robot, SIGMA, EstimateOptions())
+    alone = next_pose(without_constants(load), arm.robot, SIGMA, Knowledge())
+    found = next_pose(load, arm.robot, SIGMA, Knowledge())
     assert found.poses_rad == alone.poses_rad
     assert found.reduction == pytest.approx(np.sqrt(constants + (1.0 - constants) * alone.reduction**2))
     assert alone.reduction < 1.0
@@ -61,7 +62,7 @@ def without_constants(load):
 
 def test_cost_is_infinite_where_the_mass_is_open(arm, poses):
     only_vertical = np.array([2.0, *[np.nan] * 5])
-    assert np.isinf(cost_of_missing_axes(arm.robot, poses, only_vertical, EstimateOptions()))
+    assert np.isinf(cost_of_missing_axes(arm.robot, poses, only_vertical, Knowledge()))
 
 
 def test_the_mass_is_known_where_only_a_moment_is_open_and_open_where_it_hides_behind_one(arm, poses, monkeypatch):
@@ -74,7 +75,7 @@ def test_the_mass_is_known_where_only_a_moment_is_open_and_open_where_it_hides_b
     for information, variance in ((plain, 1 / 4), (coupled, known), (hidden, np.inf)):
         both = iter((information[None], np.eye(4)[None]))
         monkeypatch.setattr(recommendation, "payload_information", lambda *_, both=both: next(both))
-        assert cost_of_missing_axes(arm.robot, poses, SIGMA, EstimateOptions()) == pytest.approx(np.sqrt(variance))
+        assert cost_of_missing_axes(arm.robot, poses, SIGMA, Knowledge()) == pytest.approx(np.sqrt(variance))
 
 
 @pytest.mark.parametrize(
@@ -83,10 +84,10 @@ def test_the_mass_is_known_where_only_a_moment_is_open_and_open_where_it_hides_b
 )
 def test_moments_that_a_load_leaves_open_are_bounded_by_an_unknown_load(arm, poses, unknown, wide, constants):
     """Mass up to an unknown load, moments up to that 0.3 m away; what is known stays as it is."""
-    known, options = np.diag([1.0, 2.0, 3.0, 4.0]), EstimateOptions(pose_choice=poses[:1])
+    known, stated = np.diag([1.0, 2.0, 3.0, 4.0]), Knowledge()
     what = {"label": "tool", "covariance": known, "unidentifiable": (unknown,), "budget": {CONSTANTS: constants}}
     now = (1.0 - constants) * known + np.diag([wide if name == unknown else 0.0 for name in NAMES]) ** 2
-    gained = np.linalg.det(np.eye(4) + now @ payload_information(arm.robot, poses[:1], SIGMA, options.gravity_m_s2)[0])
-    found = next_pose(SimpleNamespace(**what, refused=None), arm.robot, SIGMA, options)
+    gained = np.linalg.det(np.eye(4) + now @ payload_information(arm.robot, poses[:1], SIGMA, stated.gravity_m_s2)[0])
+    found = next_pose(SimpleNamespace(**what, refused=None), arm.robot, SIGMA, stated, poses[:1])
     assert found.reduction == pytest.approx(np.sqrt(constants + (1.0 - constants) * gained**-0.25))
-    assert next_pose(SimpleNamespace(**what, refused="too few"), arm.robot, SIGMA, options) is None
+    assert next_pose(SimpleNamespace(**what, refused="too few"), arm.robot, SIGMA, stated, poses[:1]) is None

@@ -19,11 +19,10 @@ from gateway.fleet.analysis import AsOf, run_analysis
 from gateway.fleet.columns import SCHEMA_KEY
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make
-from gateway.fleet.workers import one_by_one
 from gateway.report.fleet_page import headline, render_fleet, render_robot
 from gateway.result.fleet import FleetHealth, RobotLine, read_fleet, read_robot
 from gateway.result.seal import sealed
-from tests.data.fleets import FIRST, checks, write_table
+from tests.data.fleets import FIRST, checks, one_by_one, write_table
 from tests.data.visits import ARM_HEADER, CELL, header_of, visit
 
 DAYS = 200

@@ -12,16 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from gateway.errors import ConfigError, DataUnusable
+from gateway.errors import ConfigError
 from gateway.fleet import workers as module
-from gateway.fleet.workers import one_by_one, workers
+from gateway.fleet.workers import workers
 
 ROOT = Path(__file__).parents[3]
 #: In a process of its own: Dask's loop stays in the one that has used it.
 PROGRAM = """
 import json, sys
 from gateway.fleet.workers import workers
-from tests.data.fleets import double_unless_killed
+from gateway.errors import DataUnusable
+from tests.data.fleets import double_unless_killed, spoilt
 
 taken, ahead, results = 0, 0, {}
 
@@ -36,7 +37,13 @@ if __name__ == "__main__":
         for task, done in spread(double_unless_killed, tasks()):
             results[task[0]] = done
             ahead = max(ahead, taken - len(results))
-    print(json.dumps([ahead, results]))
+        answers = dict(spread(spoilt, [0, 1]))
+        assert answers[0] == 0
+        assert isinstance(answers[1], DataUnusable)
+        try:
+            list(spread(spoilt, [2]))
+        except ZeroDivisionError:
+            print(json.dumps([ahead, results]))
 """
 
 
@@ -53,7 +60,7 @@ def ran(folder: Path, text: str, *words: object) -> subprocess.CompletedProcess[
 
 
 @pytest.mark.slow
-def test_killed_worker_loses_nothing_and_no_more_is_taken_than_is_done(tmp_path: Path) -> None:
+def test_killed_worker_loses_nothing_and_an_error_of_the_data_is_an_answer_and_a_defect_is_not(tmp_path: Path) -> None:
     done = ran(tmp_path, PROGRAM, tmp_path / "mark")
     ahead, results = json.loads(done.stdout)
     assert (tmp_path / "mark").exists()
@@ -68,21 +75,6 @@ def test_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     with pytest.raises(ConfigError, match=f"--scheduler {address}: no scheduler responds"), workers(address):
         pass
-
-
-def test_error_of_the_data_is_an_answer_and_a_defect_is_not() -> None:
-    def odd(number: int) -> int:
-        if number == 1:
-            raise DataUnusable("too few")
-        if number == 3:
-            raise ZeroDivisionError
-        return number
-
-    found = dict(one_by_one(odd, [0, 1, 2]))
-    assert found[0] == 0
-    assert isinstance(found[1], DataUnusable)
-    with pytest.raises(ZeroDivisionError):
-        list(one_by_one(odd, [3]))
 
 
 #: A scheduler that is killed once the first task is done: what was done is given, then one sentence.

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from benchmarks.nature.nature_cell import draw_cell
-from gateway.estimate import EstimateOptions, estimate
+from gateway.estimate import estimate
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
 from tests.support.rigs.tables import simulated_table
 
 GAIN_STD = 0.1
-OPTIONS = EstimateOptions(inertials="prior:0.05", gain_std=(GAIN_STD,) * 6)
+OPTIONS = Knowledge(link_std=0.05, gain_std=(GAIN_STD,) * 6)
 
 
 @pytest.fixture(scope="module")

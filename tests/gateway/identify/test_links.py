@@ -10,17 +10,17 @@ import numpy as np
 import pinocchio
 import pytest
 
+from gateway.cell.quantities import inertials_text, parse_inertials
 from gateway.errors import ConfigError
 from gateway.identify.links import (
     PER_LINK_AT_REST,
     PER_LINK_MOVING,
     as_bodies,
     body_parameters,
-    default_inertials,
+    default_link_std,
     has_inertials,
     link_prior,
     link_values,
-    parse_inertials,
 )
 from gateway.model.robot import Robot, link_lengths_m, robot_from_urdf
 
@@ -112,6 +112,7 @@ def test_has_inertials_asks_for_every_link(robot):
 )
 def test_trust_in_the_robot_model_is_read_from_a_word(text, share):
     assert parse_inertials(text) == share
+    assert parse_inertials(inertials_text(share)) == share
 
 
 @pytest.mark.parametrize(
@@ -123,5 +124,5 @@ def test_any_other_word_is_refused(text):
 
 
 def test_a_robot_model_is_trusted_by_default_as_far_as_it_states_values(robot):
-    assert default_inertials(robot) == default_inertials(without(robot, 2)) == "prior:0.05"
-    assert default_inertials(replace(robot, mass_kg=np.full(6, np.nan))) == "ignore"
+    assert default_link_std(robot) == default_link_std(without(robot, 2)) == 0.05
+    assert default_link_std(replace(robot, mass_kg=np.full(6, np.nan))) == np.inf

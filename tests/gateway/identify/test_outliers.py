@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from gateway.estimate import EstimateOptions, estimate
+from gateway.estimate import estimate
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.outliers import Outliers, find_outliers, outlier_findings, set_aside
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
@@ -126,7 +127,7 @@ def test_the_answer_moves_less_than_half_a_standard_deviation():
     moved = []
     for seed in range(6):
         measured = Measured(seed)
-        options = EstimateOptions(inertials="prior:0.05", efficiency=tuple(measured.arm.efficiency))
+        options = Knowledge(link_std=0.05, efficiency=tuple(measured.arm.efficiency))
         before = estimate(measured.table, measured.robot, options).loads[0]
         measured.disturb(1, np.random.default_rng([seed, 8]))
         found = estimate(measured.table, measured.robot, options)

@@ -303,7 +303,7 @@ def test_keys_of_a_terminal_come_one_by_one_and_unseen_and_everything_is_put_bac
 def opened(clock, config, nodes=(3,)):
     node = Input(clock, value=0x10000)
     access = [SimpleNamespace(node_id=each, sdo=node) for each in nodes]
-    group = SimpleNamespace(nodes=SimpleNamespace(access=access), bus=node)
+    group = SimpleNamespace(access=access, bus=node)
     return node, SimpleNamespace(config=SimpleNamespace(hold_to_run=config), group=group)
 
 

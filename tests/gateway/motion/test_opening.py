@@ -17,7 +17,7 @@ from gateway.cell.conversion import AxisConversion
 from gateway.errors import InputError
 from gateway.feedforward.identified import with_identified
 from gateway.motion import opening
-from gateway.motion.opening import BusOverride, axis_setups
+from gateway.motion.opening import axis_setups
 from gateway.result.drawn import Drawn
 from gateway.result.result import AxisMotion, Result, to_json
 
@@ -69,7 +69,7 @@ class Group:
 
     def of(self, _bus, setups, *_pacing, **_options) -> nullcontext[Group]:
         """Take the settings as the group of these drives does."""
-        self.nodes = SimpleNamespace(setups=setups)
+        self.setups = setups
         self.drives = [
             SimpleNamespace(
                 access=SimpleNamespace(read=lambda entry, setup=setup: {0x6064: 1000}[entry.index] * setup.node_id),
@@ -120,7 +120,7 @@ def test_where_a_ramp_is_not_known_no_torque_is_limited(small_cell, group):
 def test_the_bus_is_that_of_the_cell_unless_another_one_is_given(small_cell, monkeypatch, bus_name):
     open_bus = Mock(side_effect=ConnectionError)
     monkeypatch.setattr(opening, "open_bus", open_bus)
-    with pytest.raises(ConnectionError), opening.open_arm(small_cell, BusOverride(spec=bus_name)):
+    with pytest.raises(ConnectionError), opening.open_arm(small_cell, bus_name):
         pass
     bus = small_cell.cell.bus[small_cell.cell.arm[0].bus]
     own = BusSpec(bus.interface, bus.channel, bus.bitrate_bit_s, dict(bus.options))

@@ -7,7 +7,7 @@ import coal
 import numpy as np
 import pytest
 
-from gateway.acquire.plan import Approach, MoveTo, inward_steps
+from gateway.acquire.plan import inward_steps
 from gateway.acquire.planning import make_plan
 from gateway.acquire.route import find_route
 from gateway.cell.config import KeepOut, load_cell, parse_cell
@@ -136,9 +136,9 @@ def test_the_arm_meets_itself_on_a_path_whose_ends_are_free():
     assert reason.startswith("at [0.000, 0.000, 0.000, 1.900, ")
     assert "load (arm.load_size_m) touches link" in reason
     assert "give arm.link_radius_m" in reason
-    route = find_route(workspace, [RestPose(1, tuple(end), "fit")], start, 0.0)
-    assert not route.unreachable
-    path = np.vstack([start, *route.legs[0].via_rad, end])
+    legs, unreachable = find_route(workspace, [RestPose(1, tuple(end), "fit")], start, 0.0)
+    assert not unreachable
+    path = np.vstack([start, *legs[0][1], end])
     assert len(path) > 2
     share = np.linspace(0, 1, 500)[:, None]
     for before, after in itertools.pairwise(path):
@@ -239,9 +239,9 @@ def test_the_base_of_the_urdf_blocks_the_path(small_cell):
     arm = small_cell.cell.arm[0].model_copy(update=NOTHING)
     shape = '<link name="base_link"><collision><geometry><box size="1 1 0.2"/></geometry></collision>'
     text = robot_text(small_cell, arm).replace('<link name="base_link">', shape)
-    around = surroundings_of(arm, robot_from_text(arm, text, "robot.urdf"))
-    assert [part.name for part in around.fixed_parts] == ["base"]
-    assert around.fixed_parts[0].solids[0].points_m == pytest.approx(CORNERS * [1, 1, 0.2])
+    _, _, fixed_parts = surroundings_of(arm, robot_from_text(arm, text, "robot.urdf"))
+    assert [part.name for part in fixed_parts] == ["base"]
+    assert fixed_parts[0].solids[0].points_m == pytest.approx(CORNERS * [1, 1, 0.2])
 
 
 def test_an_example_without_boxes_is_planned_clear_of_floor_and_column(small_cell):
@@ -249,7 +249,7 @@ def test_an_example_without_boxes_is_planned_clear_of_floor_and_column(small_cel
     arm = small_cell.cell.arm[0].model_copy(update=NOTHING)
     cell = small_cell.model_copy(update={"cell": small_cell.cell.model_copy(update={"arm": (arm,)})})
     robot = arm_robot(cell, arm)
-    corners = np.array([step.q_rad for step in make_plan(cell, n_poses=4).steps if isinstance(step, MoveTo | Approach)])
+    corners = make_plan(cell, n_poses=4).corners_rad
     share = np.linspace(0, 1, 200)[:, None]
     path = np.vstack([a + share * (b - a) for a, b in itertools.pairwise(corners)])
     wrist = link_frames(robot, path)[:, 4, :3, 3]

@@ -207,13 +207,12 @@ def test_the_torque_of_constants_is_that_of_their_columns(which, request):
         assert torque_nm == pytest.approx(balance.columns.of(*motion)[row] @ by)
 
 
-def test_both_hands_receive_the_force_and_the_weight_of_the_part(bench):
+def test_each_hand_alone_receives_the_force_inside_the_part(bench):
     """All of the force, where every joint turns and friction hides nothing."""
     held_force(bench, bench.held_nm((30.0, 0.0, 0.0)), 1.0)
     one, two = bench.balance.inputs(0)
     for alone in ((one, None), (None, two)):
-        assert bench.maps.internal(0, *alone) == pytest.approx(bench.balance.wrench)
-    assert np.linalg.norm(bench.balance.wrench[:3]) > 10.0
+        assert bench.maps.internal(0, *alone)[:3] == pytest.approx((30.0, 0.0, 0.0), abs=1.0)
 
 
 def test_a_change_of_friction_is_estimated_from_the_shared_part(bench):

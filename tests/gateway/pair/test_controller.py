@@ -72,7 +72,7 @@ class Spring:
         deviation, largest, slave = [], 0.0, None
         for m in range(len(self._path)):
             delayed_deviation = deviation[m - DELAY] if m >= DELAY else (np.zeros(6), np.zeros(6))
-            stand = self._stand(m, slave) if controller.needs_measured else None
+            stand = self._stand(m, slave)
             master, slave = controller.step(m, *delayed_deviation, measured=stand)
             deviation.append(self.wrenches(m, master, slave))
             largest = max(largest, float(np.linalg.norm(deviation[-1][1][:3])))
@@ -89,7 +89,6 @@ def test_every_row_runs_on_the_same_controller(name: str, path: PairPath, bare: 
     # delayed hands: their position belongs to commands of that time before, as corrections do
     rule = None if row.learning is None else replace(row.learning, lead_s=LearningRule().lead_s)
     controller = controller_of(name, path, bare, learning=rule)
-    assert controller.needs_measured == (row.learning is not None and row.learning.source == "measured")
     spring = Spring(path, bare)
     results = [spring.cycle(controller) for _ in range(7)]
     assert all(summary.complete for summary, _ in results)

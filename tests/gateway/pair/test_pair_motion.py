@@ -13,12 +13,9 @@ from gateway.motion.observer import Observers
 from gateway.motion.power import powered
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions
-from gateway.pair.controller import PairController
-from gateway.pair.embodiments import EMBODIMENTS
 from gateway.pair.gap import gap_layout, instruments_on
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import APPROACH_RAD_S, APPROACH_S, PairMotion, calibration_of, refuse_unreachable
-from gateway.pair.transform_function import constant_function
 from tests.gateway.pair.together import EXAMPLE, Together
 
 
@@ -157,11 +154,3 @@ def test_a_beam_is_a_direction_however_long_it_is_written(distance_cell):
     assert found[0] == pytest.approx(found[1])
     assert found[2] == pytest.approx(found[1])
     assert np.abs(found[1]).max() > 1e-5
-
-
-@pytest.mark.parametrize("row", EMBODIMENTS.values(), ids=EMBODIMENTS)
-def test_present_positions_are_asked_for_by_rows_that_learn_from_them_alone(pair, row):
-    path = pair.cell.path(1.0)
-    controller = PairController(row, path, calibration_of(pair.cell), constant_function(pair.cell.nominal_relation))
-    learns = None if row.learning is None else row.learning.source
-    assert controller.needs_measured == (learns in ("measured", "master_measured"))

@@ -14,9 +14,10 @@ from drives.profile_file import PROFILE_FOLDER, parse_profile
 from gateway.cell.config import load_cell
 from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import ConfigError, InputError
-from gateway.estimate import EstimateOptions, run
+from gateway.estimate import run
+from gateway.identify.knowledge import Knowledge
 from gateway.pipeline.finalize import finalize
-from gateway.pipeline.inputs import ModelRequest, collect_inputs, diagnose_arguments, estimate_options, read_rows
+from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
 from gateway.result.result import Result
 from tests.cells import CELLS
 from tests.data.recordings import several
@@ -234,7 +235,7 @@ def test_bare_identification_of_another_robot_is_refused(tmp_path, cell_at, reco
     path = record(cell)
     about = collect_inputs(ModelRequest(cell=EXAMPLES / "large" / "cell.toml"), [])
     table = read_rows([path], collect_inputs(ModelRequest(), [path]))
-    bare = run(table, about.model, EstimateOptions(inertials="prior:0.1"), "joint").bare
+    bare = run(table, about.model, Knowledge(link_std=0.1), "joint").bare
     assert bare is not None
     from gateway.result.result import to_json
 
@@ -276,11 +277,9 @@ def test_torque_constants_are_trusted_as_the_cell_says(cell_at, record):
     text = stated.read_text()
     stated.write_text(text.replace('source = "datasheet p. 2" }', 'source = "datasheet p. 2", std_percent = 2 }', 1))
     path = record(plain)
-    assert collect_inputs(ModelRequest(), [path]).gain_std == pytest.approx((0.03,) * 6)
-    assert estimate_options(collect_inputs(ModelRequest(cell=stated), [path])).gain_std == pytest.approx(
-        (0.02, *(0.03,) * 5)
-    )
-    assert diagnose_arguments(collect_inputs(ModelRequest(gain_std=0.01), [path]))["gain_std"] == (0.01,) * 6
+    assert collect_inputs(ModelRequest(), [path]).knowledge.gain_std == pytest.approx((0.03,) * 6)
+    assert collect_inputs(ModelRequest(cell=stated), [path]).knowledge.gain_std == pytest.approx((0.02, *(0.03,) * 5))
+    assert collect_inputs(ModelRequest(gain_std=0.01), [path]).knowledge.gain_std == (0.01,) * 6
 
 
 def test_coupled_axes_of_a_cell_reach_estimate_and_diagnose(cell_at):
@@ -289,14 +288,13 @@ def test_coupled_axes_of_a_cell_reach_estimate_and_diagnose(cell_at):
     matrix = np.eye(6)
     matrix[5, 4] = 0.9
     about = collect_inputs(ModelRequest(cell=coupled), [])
-    assert estimate_options(about).coupling == pytest.approx(matrix)
-    assert diagnose_arguments(about)["coupling"] == pytest.approx(matrix)
-    assert estimate_options(collect_inputs(ModelRequest(cell=cell_at("plain")), [])).coupling is None
+    assert about.knowledge.coupling == pytest.approx(matrix)
+    assert collect_inputs(ModelRequest(cell=cell_at("plain")), []).knowledge.coupling is None
 
 
 def test_a_table_without_a_cell_states_no_constants():
     robot = EXAMPLES / "large" / "robot.urdf"
-    assert collect_inputs(ModelRequest(robot=robot), []).gain_std is None
+    assert collect_inputs(ModelRequest(robot=robot), []).knowledge.gain_std is None
 
 
 def test_a_recording_of_another_cell_is_refused_and_both_are_named(cell_at, record):

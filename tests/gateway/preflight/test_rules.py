@@ -15,8 +15,8 @@ from gateway.cell.config import ArmConfig, BusConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.preflight.drive_check import addresses, judge_bus_load, live_addresses
-from gateway.preflight.limits import judge_limits
-from gateway.preflight.rules import Axis, judge_axis, judge_identity, judge_settings, judge_state
+from gateway.preflight.limits import judge_place, judge_ranges
+from gateway.preflight.rules import Axis, judge_identity, judge_settings, judge_state
 from tests.data.axes import axis_table
 
 PROFILE = load_profile("generic-cia402")
@@ -39,6 +39,14 @@ GOOD = {
     "rated_torque": 1270,
     "torque": 12,
 }
+
+
+def judge_axis(axis, readings):
+    return [*judge_state(axis, readings), *judge_settings(axis, readings)]
+
+
+def judge_limits(axis, arm, readings):
+    return [*judge_place(axis, arm, readings), *judge_ranges(axis, arm, readings)]
 
 
 def arm(**changes):

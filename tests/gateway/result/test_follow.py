@@ -4,65 +4,34 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import jsonschema
 import pytest
 
 from gateway.errors import InputError
-from gateway.result.follow import (
-    OFF,
-    AxisSources,
-    ComputingTime,
-    ErrorCurve,
-    FedLoad,
-    FedModel,
-    FedTrend,
-    FollowedPath,
-    FollowedSetting,
-    FollowResult,
-    FollowSeries,
-    PeakRatio,
-    TorqueCurve,
-    TrendCloud,
-    follow_from_json,
-)
+from gateway.result.follow import ComputingTime, FollowResult, PeakRatio, follow_from_json
 from gateway.result.result import Finding
 from gateway.result.values import json_text, plain_values, schema_of
-
-SIX = (0.01, 0.02, 0.03, 0.01, 0.02, 0.005)
-LOAD = FedLoad("tool", 21.0, math.nan, (0.0, 0.01, 0.2), "link_6", ((0.1, 0.0, 0.0),) * 3, "result.json", "assumed")
+from tests.support.pages.other import comparison
 
 
 def example() -> FollowResult:
-    names = ("off", "maximum", "identified")
-    sources = AxisSources("datasheet", "datasheet", "assumed", "not included: not given", "0.8", ("viscous friction",))
-    return FollowResult(
-        robot="qh165",
-        cell="large",
-        arm="main",
-        path=FollowedPath("swing", "path.toml", 3.2, 0.004),
-        settings=tuple(
-            FollowedSetting(name, None if name == OFF else LOAD, SIX, SIX, (math.nan, *SIX[1:]), SIX) for name in names
-        ),
+    """Every part of the file, and values that are not known."""
+    return replace(
+        comparison(),
         ratio=PeakRatio({"maximum": (0.5,) * 6, "identified": (0.1,) * 6}, (0.2,) * 6),
-        trend=FedTrend(0.02, 0.01, 21.4, 0.3, (0.0, 0.0, 0.2), (0.01, 0.01, 0.01), SIX),
-        model=FedModel("robot model", (sources,) * 6),
         computing_s=ComputingTime(4e-5, 6e-5, 1e-4, 1200),
         left_out_syncs=2,
         findings=(Finding("info", "bus", "2 of 1200 SYNCs are left out"),),
-        series=FollowSeries(
-            {name: ErrorCurve((0.0, 0.1, 0.2), ((0.0, math.nan, 1e-3),) * 6) for name in names},
-            (TorqueCurve(2, (0.0, 0.1), (1.0, math.nan), (1.0, 2.0)),),
-            (TrendCloud(2, (100.0, 120.0), (1.0, 3.0)),),
-        ),
     )
 
 
 def test_everything_comes_back() -> None:
     text = json_text(example())
     assert json_text(follow_from_json(text, "f.json")) == text
-    assert math.isnan(follow_from_json(text, "f.json").settings[0].lag_s[0])
+    assert math.isnan(follow_from_json(text, "f.json").series.error["off"].error_rad[0][1])
     assert list(json.loads(text))[:2] == ["schema", "kind"]
     jsonschema.validate(json.loads(text), schema_of(FollowResult))
 

@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from click.testing import CliRunner, Result
@@ -27,7 +26,8 @@ from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.law import FeedforwardLaw
 from gateway.follow.comparison import result_of
-from gateway.follow.job import FollowRequest, Prepared, drive, prepare
+from gateway.follow.job import Prepared, prepare
+from gateway.follow.path_run import follow
 from gateway.follow.settings import Setting
 from gateway.jobs.cell_context import open_cell
 from gateway.model.arm_model import arm_named
@@ -106,7 +106,7 @@ def set_up(folder: Path, example: str) -> Place:
 
 
 @contextmanager
-def drives(place: Place, build_errors: int, **options: Path) -> Iterator[RunningSimulation]:
+def drives(place: Place, build_errors: int, **options: object) -> Iterator[RunningSimulation]:
     """Simulated drives of the cell with links that differ from the drawing; `options` of `ServeOptions`."""
     hidden = place.folder / "hidden.toml"
     hidden.write_text(f"build_errors = {build_errors}\n")
@@ -157,19 +157,15 @@ def velocity_alone(prepared: Prepared) -> Setting:
     return Setting("velocity alone", law, None)
 
 
-def followed(handle: RunningSimulation, cell: Path, request: FollowRequest, *names: str) -> FollowResult:
+def followed(handle: RunningSimulation, cell: Path, path: Path, load: Path, *names: str) -> FollowResult:
     """The result of a job under the named settings only."""
     context = open_cell(cell, handle.bus, lambda _spec: None)
-    prepared = _prepared(context, request, names)
-    with context.opened(prepared.arm, feedforward=True) as opened:
-        return result_of(drive(opened, prepared, lambda what, done: None))
-
-
-def _prepared(context: Any, request: FollowRequest, names: tuple[str, ...]) -> Prepared:
-    prepared = prepare(context.loaded, arm_named(context.loaded), request)
+    prepared = prepare(context.loaded, arm_named(context.loaded), path, load)
     settings = (*prepared.settings, velocity_alone(prepared))
     chosen = tuple(setting for setting in settings if setting.name in names)
-    return replace(prepared, settings=chosen)
+    with context.opened(prepared.arm, feedforward=True) as opened:
+        tracks = follow(opened.arm, prepared.workspace, prepared.path, chosen, lambda what, done: None)
+    return result_of(replace(prepared, settings=chosen), tracks)
 
 
 def peaks(result: FollowResult) -> dict[str, np.ndarray]:

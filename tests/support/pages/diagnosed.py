@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -26,5 +25,5 @@ def decided() -> Result:
     bench = Bench(27, [effect("cable_torque", [5], stiffness_nm_rad=stiffness, neutral_rad=neutral)], poses=5)
     bench.poses[:, 4] = bench.poses[0, 4] + np.linspace(-half_rad, half_rad, 5)
     choice = np.random.default_rng(27).uniform(-1.5, 1.5, (150, 6))
-    options = replace(bench.options, pose_choice=choice)
-    return close_loop(bench.both(), bench.robot, options, bench.more, bench.poses[:3] + 0.3)[0]
+    validation_rad = bench.poses[:3] + 0.3
+    return close_loop(bench.both(), bench.robot, bench.options, bench.more, validation_rad, pose_choice=choice)[0]

@@ -15,9 +15,9 @@ from benchmarks.fleet.plant import DAYS, Robot, draw, write
 from gateway.fleet.analysis import FLEET_FILE, AsOf, run_analysis
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import open_or_make
-from gateway.fleet.workers import one_by_one
 from gateway.report.fleet_page import render_fleet, render_robot
 from gateway.result.fleet import read_fleet, read_robot
+from tests.data.fleets import one_by_one
 
 ROBOTS = 10
 WORN, GONE, HEAVIER, YOUNG = 1, 3, 4, 7

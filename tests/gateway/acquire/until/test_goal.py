@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gateway.acquire.until.goal import Goal, half_widths, parse_until
+from gateway.acquire.until_goal import Goal, half_widths, parse_until
 from gateway.errors import InputError
 from gateway.identify.load_estimate import unknown_load
 

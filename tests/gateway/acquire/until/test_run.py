@@ -9,17 +9,14 @@ import pytest
 from drives.errors import DriveFault
 from gateway.acquire.events import Narrowed, PoseDone, Progress, StateChanged
 from gateway.acquire.plan import VisitSettings
-from gateway.acquire.poses import DISTANCE_RAD, PoseRequest
+from gateway.acquire.poses import DISTANCE_RAD, feasible_postures
 from gateway.acquire.run_loop import Run
-from gateway.acquire.until.choice import LEAST_POSES
-from gateway.acquire.until.goal import Goal, half_widths
-from gateway.acquire.until.messages import ended, narrowed
-from gateway.acquire.until.run import chosen_poses
-from gateway.acquire.until.search import LoadSearch, NextStep, decide, guess_of, pool_of
+from gateway.acquire.until import POOL, LoadSearch, NextStep, chosen_poses, decide
+from gateway.acquire.until_goal import LEAST_POSES, Goal, ended, half_widths, narrowed
 from gateway.acquire.visit_store import MemoryStore
 from gateway.cell.conversion import AxisConversion
 from gateway.data.recording.recorded import ArmRecording, Recording
-from gateway.estimate.options import EstimateOptions
+from gateway.identify.knowledge import Knowledge
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.motion.arm import Arm
 from tests.gateway.conftest import BAND_NM, FakeDrives
@@ -35,10 +32,9 @@ FINE = Goal(mass_share=0.02, com_m=0.005)
 
 @pytest.fixture(scope="module")
 def search(small_cell, workspace) -> LoadSearch:
-    pool = pool_of(workspace, PoseRequest(4, 0, SETTINGS.approach_offset_rad, 3))
+    offset_rad, random = SETTINGS.approach_offset_rad, np.random.default_rng(3)
     gravity_m_s2 = tuple(workspace.gravity_m_s2.tolist())
-    options = EstimateOptions(inertials="exact", gain_std=(0.0,) * 6, gravity_m_s2=gravity_m_s2)
-    nothing = np.empty((0, 6))
+    options = Knowledge(link_std=0.0, gain_std=(0.0,) * 6, gravity_m_s2=gravity_m_s2)
     return LoadSearch(
         "main",
         "a",
@@ -47,12 +43,12 @@ def search(small_cell, workspace) -> LoadSearch:
         options,
         workspace,
         SETTINGS,
-        pool,
-        guess_of(workspace, pool),
-        None,
-        nothing,
-        7,
-        3,
+        pool_rad=feasible_postures(workspace.with_clearance(), 4, offset_rad, random)[:POOL],
+        earlier=None,
+        apart_rad=np.empty((0, 6)),
+        number=7,
+        seed=3,
+        torque_scale=np.ones(6),
     )
 
 
@@ -81,10 +77,14 @@ def rows(small_cell):
     return table
 
 
+def _end(decision: NextStep) -> str:
+    return ended(decision.stock, decision.verdict, "a")
+
+
 def measure(run: Run, arm: Arm, search: LoadSearch, rows) -> NextStep:
     """Measure until the load is known; the last decision."""
     decisions = []
-    assert run.execute(chosen_poses(search, rows, arm.where(), decisions), "a") == ended(decisions[-1], "a")
+    assert run.execute(chosen_poses(search, rows, arm.where(), decisions), "a") == _end(decisions[-1])
     return decisions[-1]
 
 
@@ -112,7 +112,7 @@ def test_the_run_ends_once_the_load_is_known(finished, workspace):
     assert numbers == [number for number in range(7, 7 + decision.verdict.poses) for _ in range(2)]
     narrowings = [event for event in events if isinstance(event, Narrowed)]
     assert [event.poses for event in narrowings] == list(range(1, decision.verdict.poses + 1))
-    assert "has reached the requested uncertainty" in ended(decision, "a")
+    assert "has reached the requested uncertainty" in _end(decision)
     assert [event.pose for event in events if isinstance(event, PoseDone)] == numbers[::2]
     assert [event.remaining_s for event in events if isinstance(event, Progress)][-1] == 0.0
     assert [str(event.state.phase) for event in events if isinstance(event, StateChanged)][-1] == "in its brakes"
@@ -140,7 +140,7 @@ def test_the_same_visits_lead_to_the_same_decision(finished, search, rows):
     one, other = (decide(search, some, at_rad) for _ in range(2))
     assert one.plan == other.plan
     assert one.plan.poses[0].number == 9
-    assert "2 poses: mass " in narrowed(one)
+    assert "2 poses: mass " in narrowed(one.verdict, ends=False)
 
 
 def test_a_fault_during_a_transfer_ends_it_in_the_brakes_and_keeps_the_visits(small_cell, workspace, search, rows):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gateway.diagnose.moving.diagnosis import diagnose_motion
-from gateway.diagnose.options import DiagnoseOptions
+from gateway.identify.knowledge import Knowledge
 from tests.data.moving_arm import World, measured
 
-IGNORE = DiagnoseOptions(inertials="ignore")
+IGNORE = Knowledge(link_std=np.inf)
 LOSSES = frozenset({"load_dependent_friction", "velocity_friction", "axis_coupling"})
 FOUND = [
     ("velocity_friction", (3,), World(stribeck={2: (0.15, 0.15)}), {}),
@@ -44,7 +44,7 @@ def found_alone(result, name, joints, truth):
 @pytest.mark.slow
 def test_residual_falls_to_the_noise_that_was_put_in():
     table, robot, scale = measured(2, World(load_friction={1: 0.25}, coupling=(4, 5, 1.0)))
-    result = diagnose_motion(table, robot, DiagnoseOptions(inertials="prior:0.05", only=LOSSES))
+    result = diagnose_motion(table, robot, Knowledge(link_std=0.05), only=LOSSES)
     assert {effect.name for effect in result.effects} == {"load_dependent_friction", "axis_coupling"}
     noise = 0.02 * np.sqrt(1.04) * scale
     assert np.all(np.array(result.after.holdout_rms_nm) < 1.8 * noise)
@@ -53,10 +53,10 @@ def test_residual_falls_to_the_noise_that_was_put_in():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1))
-@pytest.mark.parametrize("inertials", [None, "ignore", "prior:0.05"])
-def test_nothing_is_claimed_on_a_clean_run(seed, inertials):
+@pytest.mark.parametrize("link_std", [None, np.inf, 0.05])
+def test_nothing_is_claimed_on_a_clean_run(seed, link_std):
     table, robot, _ = measured(seed, World(), duration_s=20.0)
-    result = diagnose_motion(table, robot, DiagnoseOptions(inertials=inertials))
+    result = diagnose_motion(table, robot, Knowledge(link_std=link_std))
     assert result.effects == ()
     assert result.verdict == "none_needed"
     assert np.isnan(result.noise_floor_nm).all()
@@ -91,7 +91,7 @@ def test_load_is_estimated_through_a_missing_balancer():
     payload = (6.0, 0.03, -0.02, 0.12)
     table, robot, _ = measured(5, World(spring=(0.8, 0.1), payload=payload), duration_s=30.0)
     rivals = frozenset({"balancer_spring", "cable_torque", "base_tilt"})
-    result = diagnose_motion(table, robot, DiagnoseOptions(only=rivals))
+    result = diagnose_motion(table, robot, Knowledge(), only=rivals)
     found_alone(result, "balancer_spring", (2,), {"phase_rad": (0.1, 0.1)})
     load = result.loads[0]
     assert load.label == "a"
@@ -113,12 +113,12 @@ def test_without_bare_rows_and_cad_the_load_is_unknown_and_said_so():
 def test_given_holdout_is_judged_and_never_fitted():
     table, robot, _ = measured(7, World(load_friction={1: 0.25}), duration_s=36.0)
     first, last = table.take(table.time_s < 24.0), table.take(table.time_s >= 24.5)
-    options = DiagnoseOptions(inertials="ignore", holdout=last, only=LOSSES)
-    result = diagnose_motion(first, robot, options)
+    options = Knowledge(link_std=np.inf)
+    result = diagnose_motion(first, robot, options, holdout=last, only=LOSSES)
     assert result.holdout_kind == "given"
     assert [effect.name for effect in result.effects] == ["load_dependent_friction"]
     last.tau_nm[:, 1] += 1e3
-    spoilt = diagnose_motion(first, robot, options)
+    spoilt = diagnose_motion(first, robot, options, holdout=last, only=LOSSES)
     assert spoilt.effects == ()
     assert ("load_dependent_friction", (2,)) in {(item.name, item.joints) for item in spoilt.rejected}
     assert any("does not predict" in finding.what for finding in spoilt.findings)
@@ -129,11 +129,9 @@ def test_given_holdout_is_judged_and_never_fitted():
 @pytest.mark.slow
 def test_only_and_without_limit_what_is_tried():
     table, robot, _ = measured(1, World(load_friction={1: 0.25}))
-    without = diagnose_motion(
-        table, robot, DiagnoseOptions(inertials="ignore", without=frozenset({"load_dependent_friction"}))
-    )
+    without = diagnose_motion(table, robot, Knowledge(link_std=np.inf), without=frozenset({"load_dependent_friction"}))
     assert "load_dependent_friction" not in {effect.name for effect in without.effects}
-    only = diagnose_motion(table, robot, DiagnoseOptions(inertials="ignore", only=frozenset({"cable_torque"})))
+    only = diagnose_motion(table, robot, Knowledge(link_std=np.inf), only=frozenset({"cable_torque"}))
     assert only.effects == ()
     assert {item.name for item in only.rejected} == {"cable_torque"}
 

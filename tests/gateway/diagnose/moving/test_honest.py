@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from gateway.data.rows import concatenate
-from gateway.diagnose import DiagnoseOptions, diagnose
-from gateway.diagnose.moving.choice import MovingKnowledge, problem_of
+from gateway.diagnose import diagnose
+from gateway.diagnose.moving.choice import problem_of
 from gateway.diagnose.moving.moving_findings import edge_findings
 from gateway.diagnose.moving.moving_mistakes import find_mistakes
 from gateway.diagnose.moving.parameters import at_edge
 from gateway.diagnose.moving.penalised_fit import fit
-from gateway.identify.rest.problem import Knowledge
-from gateway.model.effects import LIBRARY
+from gateway.identify.knowledge import Knowledge
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.effects.velocity_friction import FRACTIONS, Stribeck
 from gateway.model.motion import prepare
@@ -27,7 +26,7 @@ LOADS = {"none": None, "a": (2.0, 0.02, -0.01, 0.08), "b": (5.0, -0.03, 0.02, 0.
 
 def problem(table, robot, trust=0.05):
     motion = prepare(table, None, robot, GRAVITY)
-    return problem_of(motion, trust, MovingKnowledge(frozenset(LIBRARY), trust, False, Knowledge()))
+    return problem_of(motion, trust, Knowledge())
 
 
 def parted(seed, world, at_s=18.0, **keys):
@@ -41,9 +40,7 @@ def test_rows_that_are_given_choose_no_parameter_and_no_load():
     first, last, robot = parted(5, World(spring=(0.8, 0.1), payload=(6.0, 0.03, -0.02, 0.12)))
     other = replace(last, tau_nm=last.tau_nm + 0.01 * np.abs(last.tau_nm).max(axis=0) * np.sin(last.time_s)[:, None])
     only = frozenset({"balancer_spring", "cable_torque", "base_tilt"})
-    good, bad, alone = (
-        diagnose(first, robot, DiagnoseOptions(holdout=held, only=only)) for held in (last, other, None)
-    )
+    good, bad, alone = (diagnose(first, robot, holdout=held, only=only) for held in (last, other, None))
     assert [effect.name for effect in good.effects] == [effect.name for effect in bad.effects] == ["balancer_spring"]
     assert good.effects[0].parameters == bad.effects[0].parameters
     assert good.effects[0].std == bad.effects[0].std
@@ -58,7 +55,7 @@ def test_rows_that_are_given_choose_no_parameter_and_no_load():
 def test_figures_come_with_an_interval_and_say_what_they_are_of():
     table, robot, _ = measured(1, World(load_friction={1: 0.25}))
     only = frozenset({"load_dependent_friction", "base_tilt"})
-    result = diagnose(table, robot, DiagnoseOptions(inertials="ignore", only=only))
+    result = diagnose(table, robot, Knowledge(link_std=np.inf), only=only)
     ratio = np.array(result.quality["holdout_ratio"])
     rms = np.array(result.after.holdout_rms_nm) / np.array(result.before.holdout_rms_nm)
     assert ratio[:, 0] == pytest.approx(rms)
@@ -73,7 +70,7 @@ def test_loads_mounted_in_one_run_each_are_estimated_from_both():
     """Six runs and more: held out whole, each took its load with it."""
     loads = {"none": None, "again": None} | {f"l{k}": (2.0 + k, 0.02, -0.01, 0.05 + 0.01 * k) for k in range(4)}
     table, robot = several(3, loads)
-    result = diagnose(table, robot, DiagnoseOptions(only=frozenset({"base_tilt"})))
+    result = diagnose(table, robot, only=frozenset({"base_tilt"}))
     found = {load.label: load for load in result.loads}
     for label, load in loads.items():
         if load is not None:
@@ -87,7 +84,7 @@ def test_loads_mounted_in_one_run_each_are_estimated_from_both():
 def test_a_run_of_a_tenth_of_the_others_is_no_hindrance():
     table, robot = several(4, LOADS)
     short = (table.run != "3") | (table.time_s < 1.0)
-    result = diagnose(table.take(short), robot, DiagnoseOptions(only=frozenset({"base_tilt"})))
+    result = diagnose(table.take(short), robot, only=frozenset({"base_tilt"}))
     assert result.effects == ()
     found = {load.label: load for load in result.loads}
     assert found["b"].mass_kg == pytest.approx(5.0, abs=3.0 * found["b"].mass_std_kg)
@@ -99,7 +96,7 @@ def test_a_run_of_a_tenth_of_the_others_is_no_hindrance():
 def test_rows_of_another_arm_held_out_name_nothing_and_say_so():
     table, robot, _ = measured(1, World(), duration_s=16.0)
     other, _, _ = measured(2, World(gain={1: -1.0}), duration_s=8.0, cad_error=0.6)
-    result = diagnose(table, robot, DiagnoseOptions(holdout=other))
+    result = diagnose(table, robot, holdout=other)
     assert result.effects == ()
     assert not result.failed
     assert result.verdict == "undecided"
@@ -111,7 +108,7 @@ def test_rows_of_another_arm_held_out_name_nothing_and_say_so():
 def test_what_every_arm_has_is_no_effect(seed):
     """Gains off by 3 % and losses of 5 % on every axis."""
     table, robot = several(seed, {"none": None, "a": LOADS["a"]})
-    result = diagnose(table, robot, DiagnoseOptions())
+    result = diagnose(table, robot)
     assert result.effects == ()
     assert result.verdict in ("none_needed", "unexplained")
     gain = result.nuisance["gain"]
@@ -137,7 +134,7 @@ def test_no_gain_and_no_loss_goes_beyond_its_usual_range_unless_it_is_an_effect(
 def test_the_stated_torque_constants_decide_the_uncertainty_of_a_mass():
     table, robot = several(2, {"none": None, "b": LOADS["b"]})
     certain, unsure = (
-        diagnose(table, robot, DiagnoseOptions(gain_std=(std,) * 6, only=frozenset({"base_tilt"}))).loads[0]
+        diagnose(table, robot, Knowledge(gain_std=(std,) * 6), only=frozenset({"base_tilt"})).loads[0]
         for std in (0.0, 0.10)
     )
     assert certain.budget["constants"] < 0.35, "gears lose unevenly"
@@ -155,7 +152,7 @@ def test_a_sign_is_not_reversed_where_friction_is_right_in_a_run():
     second.tau_nm[:, 3] -= 0.4 * scale[3] * np.sign(second.qd_rad_s[:, 3])
     both = problem(concatenate([first, second]), robot)
     assert find_mistakes(both, frozenset({"sign_reversed"})) == []
-    alone = diagnose(concatenate([first, second]), robot, DiagnoseOptions(only=frozenset({"sign_reversed"})))
+    alone = diagnose(concatenate([first, second]), robot, only=frozenset({"sign_reversed"}))
     assert not alone.failed
 
 
@@ -163,7 +160,7 @@ def test_a_mistake_that_undone_is_no_better_is_no_failing_finding():
     """An axis whose friction gives power all over, its gravity and inertia read with the right sign."""
     table, robot, scale = measured(4, World())
     table.tau_nm[:, 3] -= 0.4 * scale[3] * np.sign(table.qd_rad_s[:, 3])
-    result = diagnose(table, robot, DiagnoseOptions(only=frozenset({"sign_reversed", "axes_swapped"})))
+    result = diagnose(table, robot, only=frozenset({"sign_reversed", "axes_swapped"}))
     assert not result.failed
     assert result.effects == ()
 
@@ -182,7 +179,7 @@ def test_a_parameter_at_the_edge_of_its_grid_has_no_standard_deviation():
 @pytest.mark.slow
 def test_a_decay_inside_its_grid_has_a_spread_that_the_friction_shares():
     table, robot, _ = measured(1, World(stribeck={2: (0.15, 0.15)}))
-    result = diagnose(table, robot, DiagnoseOptions(inertials="ignore", only=frozenset({"velocity_friction"})))
+    result = diagnose(table, robot, Knowledge(link_std=np.inf), only=frozenset({"velocity_friction"}))
     (effect,) = result.effects
     decay = effect.parameters["stribeck_velocity_rad_s"]
     assert effect.std["stribeck_velocity_rad_s"] > 0.1 * decay

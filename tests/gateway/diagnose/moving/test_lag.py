@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from gateway.data.rows import Table, concatenate
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
 from gateway.diagnose.moving.lag import lags, prepare_in_step
+from gateway.identify.knowledge import Knowledge
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot
 from tests.data.moving_arm import GRAVITY, World, coloured, measured
@@ -68,9 +69,9 @@ def clean() -> tuple[Table, Robot]:
 def test_delays_are_reported_where_they_are_certain() -> None:
     table, robot = recorded(5, World())
     early = replace(table, tau_nm=np.roll(table.tau_nm, -2, axis=0))
-    assert lags(early, robot, DiagnoseOptions()).max() == 0.0, "no drive has its torque before its position"
+    assert lags(early, robot, Knowledge()).max() == 0.0, "no drive has its torque before its position"
     few = table.take(np.arange(20))
-    assert lags(few, robot, DiagnoseOptions()).max() == 0.0
+    assert lags(few, robot, Knowledge()).max() == 0.0
 
 
 @pytest.mark.slow
@@ -95,7 +96,7 @@ def test_each_torque_meets_the_motion_that_it_belongs_to() -> None:
 
 @pytest.mark.slow
 def test_an_arm_that_lacks_nothing_is_down_to_the_noise(clean: tuple[Table, Robot]) -> None:
-    result = diagnose(*clean, DiagnoseOptions())
+    result = diagnose(*clean, Knowledge())
     assert result.effects == ()
     assert result.verdict == "none_needed"
     assert result.provenance["delay_s"] == pytest.approx(DELAY_ROWS / FINE_HZ, abs=1.5e-3)
@@ -111,6 +112,6 @@ def test_an_arm_that_lacks_nothing_is_down_to_the_noise(clean: tuple[Table, Robo
     ],
 )
 def test_what_it_lacks_is_found_beside(world: World, name: tuple[str, tuple[int, ...]]) -> None:
-    result = diagnose(*recorded(6, world), DiagnoseOptions(only=frozenset({"balancer_spring", "cable_torque"})))
+    result = diagnose(*recorded(6, world), Knowledge(), only=frozenset({"balancer_spring", "cable_torque"}))
     assert [(effect.name, effect.joints) for effect in result.effects] == [name]
     assert result.verdict == "explained"

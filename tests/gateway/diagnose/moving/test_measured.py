@@ -10,7 +10,7 @@ import pytest
 
 from gateway.data.table import read_csv
 from gateway.diagnose.moving.diagnosis import diagnose_motion
-from gateway.diagnose.options import DiagnoseOptions
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import from_json, to_json
 
@@ -40,7 +40,7 @@ def held(result):
 @pytest.mark.slow
 def test_kr300_lacks_a_balancer_and_carries_a_believable_load():
     table, robot = load("kr300", "run_A")
-    result = diagnose_motion(table, robot, DiagnoseOptions())
+    result = diagnose_motion(table, robot, Knowledge())
     before, after = held(result)
     assert ("balancer_spring", (2,)) in named(result)
     assert {name for name, _ in named(result)} <= KR300_LACKS
@@ -62,8 +62,7 @@ def test_kr300_lacks_a_balancer_and_carries_a_believable_load():
 def test_kr300_load_under_any_trust_in_the_cad_is_the_same_within_its_intervals():
     table, robot = load("kr300", "run_A")
     loads = [
-        diagnose_motion(table, robot, DiagnoseOptions(inertials=trust, only=KR300_LACKS)).loads[0]
-        for trust in ("exact", "prior:0.05")
+        diagnose_motion(table, robot, Knowledge(link_std=trust), only=KR300_LACKS).loads[0] for trust in (0.0, 0.05)
     ]
     for one in loads:
         for other in loads:
@@ -75,7 +74,7 @@ def test_kr300_load_under_any_trust_in_the_cad_is_the_same_within_its_intervals(
 @pytest.mark.slow
 def test_tx40_motor_6_turns_with_joint_5():
     table, robot = load("tx40", "run_1_first")
-    result = diagnose_motion(table, robot, DiagnoseOptions())
+    result = diagnose_motion(table, robot, Knowledge())
     before, after = held(result)
     assert ("axis_coupling", (5, 6)) in named(result)
     assert {name for name, _ in named(result)} <= {"axis_coupling"} | FRICTION
@@ -92,7 +91,7 @@ def test_tx40_motor_6_turns_with_joint_5():
 def test_tx40_parts_of_the_run_predict_each_other():
     table, robot = load("tx40", "run_1_first")
     first, last = table.take(table.time_s < 3.6), table.take(table.time_s > 3.8)
-    result = diagnose_motion(first, robot, DiagnoseOptions(holdout=last))
+    result = diagnose_motion(first, robot, Knowledge(), holdout=last)
     before, after = held(result)
     assert result.holdout_kind == "given"
     assert ("axis_coupling", (5, 6)) in named(result)
@@ -103,7 +102,7 @@ def test_tx40_parts_of_the_run_predict_each_other():
 @pytest.mark.slow
 def test_ur10_friction_follows_speed_and_the_load_as_any_gears_does():
     table, robot = load("ur10", "run_1_first")
-    result = diagnose_motion(table, robot, DiagnoseOptions())
+    result = diagnose_motion(table, robot, Knowledge())
     before, after = held(result)
     assert {("velocity_friction", (1,)), ("velocity_friction", (2,))} <= named(result)
     assert {name for name, _ in named(result)} <= {"velocity_friction"}, "a loss of some 5 % is usual"

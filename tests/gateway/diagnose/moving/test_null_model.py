@@ -12,10 +12,10 @@ from gateway.data.rows import MOVING, concatenate
 from gateway.diagnose.moving.moving_noise import MovingNoise
 from gateway.diagnose.moving.null_model import null_model
 from gateway.diagnose.moving.penalised_fit import MovingProblem, fit
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.motion.convergence import settle
 from gateway.identify.motion.problem import Contrasts, MotionProblem
-from gateway.identify.rest.problem import Knowledge
 from gateway.model.motion import prepare
 from gateway.model.robot import robot_from_urdf
 from tests.data.moving_arm import several

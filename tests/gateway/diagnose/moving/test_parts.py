@@ -17,10 +17,9 @@ from gateway.diagnose.moving.penalised_fit import MovingProblem, fit
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import state_of
 from gateway.diagnose.moving.trial import drop_by_chance, put_on_trial
-from gateway.diagnose.options import DiagnoseOptions
-from gateway.errors import ConfigError, DataUnusable, InputError
+from gateway.errors import DataUnusable, InputError
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import link_values
-from gateway.identify.rest.problem import Knowledge
 from gateway.model.base import moving_base
 from gateway.model.effect import nowhere
 from gateway.model.effects import LIBRARY
@@ -156,7 +155,7 @@ def test_an_axis_that_was_not_measured_or_does_not_move_is_unknown_in_every_list
     table = table_of(6)
     table.tau_nm[:, 0] = np.nan
     table.qd_rad_s[:, 3] = 0.0
-    result = diagnose_motion(table, robot, DiagnoseOptions(inertials="ignore", only=frozenset({"velocity_friction"})))
+    result = diagnose_motion(table, robot, Knowledge(link_std=np.inf), only=frozenset({"velocity_friction"}))
     for values in (result.before.rms_nm, result.after.holdout_rms_nm, result.friction_band_nm):
         assert np.isnan(values).tolist() == [True, False, False, True, False, False]
     assert {finding.where for finding in result.findings} >= {"J1", "J4"}
@@ -165,12 +164,10 @@ def test_an_axis_that_was_not_measured_or_does_not_move_is_unknown_in_every_list
 def test_bad_input_is_refused(robot):
     table = table_of(7, n=200)
     with pytest.raises(InputError, match="--known b"):
-        diagnose_motion(table, robot, DiagnoseOptions(known={"b": (1.0, 0.0, 0.0, 0.0)}))
-    with pytest.raises(ConfigError, match="prior:S"):
-        diagnose_motion(table, robot, DiagnoseOptions(inertials="prior:wide"))
+        diagnose_motion(table, robot, Knowledge(known={"b": (1.0, 0.0, 0.0, 0.0)}))
     with pytest.raises(DataUnusable, match="--holdout: load b"):
-        diagnose_motion(table, robot, DiagnoseOptions(holdout=table_of(8, n=100, run="2", load="b")))
+        diagnose_motion(table, robot, Knowledge(), holdout=table_of(8, n=100, run="2", load="b"))
     still = table_of(9, n=100)
     still.qd_rad_s[:] = 0.0
     with pytest.raises(DataUnusable, match="no axis moves"):
-        diagnose_motion(still, robot, DiagnoseOptions())
+        diagnose_motion(still, robot, Knowledge())

@@ -9,7 +9,7 @@ import pytest
 
 from gateway.data.periods import excitation_runs, noise_between_periods
 from gateway.data.rows import Table, concatenate
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
 from gateway.diagnose.moving.splits import blocks, judging
 from gateway.model.motion import prepare
 from gateway.model.robot import Robot
@@ -100,7 +100,7 @@ def clean() -> tuple[Table, Robot, np.ndarray]:
 @pytest.mark.slow
 def test_an_arm_that_lacks_nothing_is_down_to_the_noise(clean: tuple[Table, Robot, np.ndarray]) -> None:
     table, robot, scale = clean
-    result = diagnose(table, robot, DiagnoseOptions())
+    result = diagnose(table, robot)
     assert result.verdict == "none_needed"
     assert result.noise_floor_nm == pytest.approx(NOISE * scale, rel=0.25)
     assert "parts of the period" in result.provenance["held_out"]
@@ -109,6 +109,6 @@ def test_an_arm_that_lacks_nothing_is_down_to_the_noise(clean: tuple[Table, Robo
 @pytest.mark.slow
 def test_an_unexplained_repeating_torque_is_reported(clean: tuple[Table, Robot, np.ndarray]) -> None:
     table, robot, _ = bare_and_loaded(5, World(strange={2: 0.3}))
-    result = diagnose(table, robot, DiagnoseOptions())
+    result = diagnose(table, robot)
     assert result.verdict in ("unexplained", "improved")
     assert any("J3" in finding.where and "difference between periods" in finding.what for finding in result.findings)

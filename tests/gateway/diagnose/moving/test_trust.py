@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
 from gateway.diagnose.moving.moving_noise import MovingNoise
 from gateway.diagnose.moving.null_model import null_model
 from gateway.diagnose.moving.penalised_fit import MovingProblem
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.trust import log_evidence
-from gateway.identify.rest.problem import Knowledge
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.spread import jackknife
 from gateway.model.motion import prepare
 from tests.data.moving_arm import GRAVITY, World, measured
@@ -29,14 +29,14 @@ def trust_of(result) -> float:
 @pytest.mark.parametrize(("cad_error", "least", "most"), [(0.0, 0.0, 0.02), (0.25, 0.1, float("inf"))])
 def test_a_good_drawing_is_trusted_and_a_bad_one_is_not(cad_error, least, most):
     table, robot, _ = measured(3, World(), duration_s=20.0, cad_error=cad_error)
-    assert least <= trust_of(diagnose(table, robot, DiagnoseOptions())) <= most
+    assert least <= trust_of(diagnose(table, robot)) <= most
 
 
 @pytest.mark.slow
 def test_the_users_statement_on_the_drawing_is_kept():
     table, robot, _ = measured(3, World(), duration_s=20.0, cad_error=0.25)
-    for said, trust in (("prior:0.03", 0.03), ("ignore", float("inf"))):
-        assert trust_of(diagnose(table, robot, DiagnoseOptions(inertials=said, only=frozenset({"base_tilt"})))) == trust
+    for trust in (0.03, np.inf):
+        assert trust_of(diagnose(table, robot, Knowledge(link_std=trust), only=frozenset({"base_tilt"}))) == trust
 
 
 def test_evidence_is_the_marginal_density_of_the_rows():

@@ -123,7 +123,7 @@ def test_held_out_rows_of_another_arm_are_not_met(healthy):
     other = Bench(7, [])
     other.poses = bench.poses[:4] + 0.1
     held = other.both()
-    result = diagnose(table, bench.robot, replace(bench.options, holdout=held))
+    result = diagnose(table, bench.robot, bench.options, holdout=held)
     assert result.verdict not in ("explained", "none_needed")
     words = [each.what for each in result.findings if each.where == "hold-out"]
     assert len(words) == 1
@@ -135,7 +135,7 @@ def test_held_out_rows_of_another_arm_are_not_met(healthy):
 def test_held_out_rows_of_the_same_arm_are_met(healthy):
     bench, table, _ = healthy
     held = concatenate([bench.table(bench.poses[:4] + 0.1, load, 50) for load in ("none", "tool")])
-    result = diagnose(table, bench.robot, replace(bench.options, holdout=held))
+    result = diagnose(table, bench.robot, bench.options, holdout=held)
     assert result.verdict == "none_needed"
     assert not [each for each in result.findings if each.where == "hold-out"]
 
@@ -145,7 +145,7 @@ def test_held_out_rows_with_another_load_alone_are_refused(healthy):
     held = bench.table(bench.poses[:4] + 0.1, "tool", 50)
     held = replace(held, load=np.full(len(held.load), "gripper"))
     with pytest.raises(DataUnusable, match="carry no load that is in the data"):
-        diagnose(table, bench.robot, replace(bench.options, holdout=held))
+        diagnose(table, bench.robot, bench.options, holdout=held)
 
 
 # --------------------------------------------------------------------------------------------------------- several runs
@@ -167,8 +167,8 @@ def test_a_run_of_a_tenth_of_the_others_changes_no_answer():
     bench = Bench(3, [], poses=10)
     long = [of_run(bench, bench.poses, load, run) for run in ("a", "b") for load in ("none", "tool")]
     short = of_run(bench, bench.poses[:2], "tool", "c")
-    options = replace(bench.options, only=frozenset({"base_tilt", "cable_torque"}))
-    both, alone = (diagnose(concatenate(parts), bench.robot, options) for parts in ([*long, short], long))
+    named, tables = frozenset({"base_tilt", "cable_torque"}), (concatenate([*long, short]), concatenate(long))
+    both, alone = (diagnose(table, bench.robot, bench.options, only=named) for table in tables)
     assert both.verdict == alone.verdict == "none_needed"
     mass, std = mass_of(alone)
     assert abs(mass_of(both)[0] - mass) < 0.5 * std

@@ -56,8 +56,10 @@ def test_a_constant_is_named_where_its_error_goes_beyond_what_is_stated(axis, ti
 def test_what_is_stated_of_the_constants_decides_what_is_named():
     """The same table: constants known to 1 % leave an error of 15 % to be named, constants known to 8 % do not."""
     bench = Bench(5, [effect("torque_constant_scale", [2], scale=1.0 / 1.15)], poses=12)
-    table, options = bench.both(), replace(bench.options, only=frozenset({"torque_constant_scale", "balancer_spring"}))
-    well, badly = (diagnose(table, bench.robot, replace(options, gain_std=(std,) * 6)) for std in (0.01, 0.08))
+    table, only = bench.both(), frozenset({"torque_constant_scale", "balancer_spring"})
+    well, badly = (
+        diagnose(table, bench.robot, replace(bench.options, gain_std=(std,) * 6), only=only) for std in (0.01, 0.08)
+    )
     assert found(well) == [("torque_constant_scale", (2,))]
     assert found(badly) == []
     assert badly.verdict == "none_needed"
@@ -70,7 +72,7 @@ def test_the_interval_of_a_mass_holds_the_constants():
     bench, only = Bench(3, []), frozenset({"base_tilt"})
     table = bench.both()
     std = [
-        diagnose(table, bench.robot, replace(bench.options, gain_std=(share,) * 6, only=only)).loads[0].mass_std_kg
+        diagnose(table, bench.robot, replace(bench.options, gain_std=(share,) * 6), only=only).loads[0].mass_std_kg
         for share in (0.0, 0.01, 0.03, 0.1)
     ]
     assert np.all(np.diff(std) > 0)

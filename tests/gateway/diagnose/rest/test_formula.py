@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,7 +49,7 @@ CLOSED_FORMS = [
 @pytest.mark.parametrize(("hidden", "closed"), CLOSED_FORMS, ids=lambda value: value.get("name", ""))
 def test_a_mechanism_without_a_name_gets_its_closed_form_and_no_name(hidden, closed):
     bench = Bench(3, [hidden])
-    result = diagnose(bench.both(), bench.robot, replace(bench.options, only=NEAREST))
+    result = diagnose(bench.both(), bench.robot, bench.options, only=NEAREST)
     assert result.verdict == "unexplained"
     assert result.effects == ()
     formula = result.formula
@@ -77,7 +76,7 @@ def test_a_hose_is_found_where_it_is_anchored():
     free_m = float(np.median(np.linalg.norm(tips_m - hook_m, axis=1)))
     hidden = effect("bungee", [6], hook_m=hook_m.tolist(), stiffness_n_m=400.0, free_length_m=free_m)
     bench = Bench(4, [hidden])
-    formula = diagnose(bench.both(), bench.robot, replace(bench.options, only=NEAREST)).formula
+    formula = diagnose(bench.both(), bench.robot, bench.options, only=NEAREST).formula
     assert formula is not None
     (piece,) = formula.pieces
     *anchor_m, link, length_m = (float(each) for each in re.findall(r"-?\d+(?:\.\d+)?", piece.expression))
@@ -125,8 +124,8 @@ def test_the_knee_of_a_saturated_current_is_fitted_at_any_torque():
 @pytest.mark.slow
 def test_fresh_poses_test_the_formula_and_further_poses_are_asked_for():
     bench = Bench(4, [effect("end_stop_buffer", [3], stiffness_nm_rad2=300.0, angle_rad=0.2)])
-    options = replace(bench.options, only=NEAREST)
-    result, table = close_loop(bench.both(), bench.robot, options, bench.more, bench.poses[:4] + 0.2)
+    options = bench.options
+    result, table = close_loop(bench.both(), bench.robot, options, bench.more, bench.poses[:4] + 0.2, only=NEAREST)
     assert len(table) > len(bench.both())
     assert result.formula is not None
     assert result.holdout_kind == "fresh"

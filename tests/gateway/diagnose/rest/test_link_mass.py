@@ -11,7 +11,8 @@ from benchmarks.blind.nature import first_diagnosis
 from benchmarks.nature.nature_cell import draw_effect_cell
 from gateway.diagnose.rest.rest_outcome import contradicted
 from gateway.diagnose.rest.search import Search
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.knowledge import Knowledge
+from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
@@ -30,7 +31,7 @@ def lighter() -> tuple[Bench, Search, LinkMass]:
     mass = float(plain.robot.mass_kg[LINK])
     bench = Bench(3, [effect("link_mass", [LINK + 1], mass_kg=-0.5 * mass)], poses=8)
     rows = pair_visits(bench.both(), bench.options.efficiency)
-    problem = build_problem(bench.robot, rows, Knowledge(inertials="prior:0.01"))
+    problem = build_problem(bench.robot, rows, Knowledge(link_std=0.01))
     setup = RestSetup((np.nan,) * 6, False, np.zeros((len(rows), 6)), problem.links)
     named = terms_at_rest(problem.rows, setup, frozenset({"link_mass"}))
     term = next(term for term in named if isinstance(term, LinkMass) and term.axis == LINK)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gateway.data.rows import concatenate
-from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose import diagnose
+from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
 from sim.draw import choose_poses, draw_arm
 from sim.effects import apply_effects
@@ -31,14 +32,9 @@ def diagnosed(hidden, *rivals):
         return simulated_table(columns)
 
     seen = concatenate([table(range(10), "none", 0.0), table(range(10), "tool", 400.0)])
-    options = DiagnoseOptions(
-        efficiency=arm.efficiency,
-        gear_ratio=arm.gear_ratio,
-        holdout=table(range(10, 10 + FRESH), "tool", 800.0),
-        holdout_kind="fresh",
-        only=frozenset({hidden["name"], *rivals}),
-    )
-    return diagnose(seen, robot_from_urdf(arm.urdf, "drawn"), options), plant
+    robot, fresh = robot_from_urdf(arm.urdf, "drawn"), table(range(10, 10 + FRESH), "tool", 800.0)
+    stated, only = Knowledge(efficiency=arm.efficiency, gear_ratio=arm.gear_ratio), frozenset({hidden["name"], *rivals})
+    return diagnose(seen, robot, stated, holdout=fresh, holdout_kind="fresh", only=only), plant
 
 
 @pytest.fixture(scope="module")

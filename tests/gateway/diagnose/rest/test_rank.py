@@ -8,9 +8,10 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
-from gateway.estimate import EstimateOptions, run
+from gateway.estimate import run
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.rest.hypothesis_fit import fit
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_loads import loads_of
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.robot import robot_from_urdf
@@ -57,12 +58,12 @@ def measured(request: pytest.FixtureRequest):
     return table, robot_from_urdf(URDF, "small")
 
 
-@pytest.mark.parametrize("inertials", ["ignore", "prior:0.05"])
-def test_what_no_posture_shows_is_not_stated(measured, inertials: str) -> None:
+@pytest.mark.parametrize("link_std", [np.inf, 0.05])
+def test_what_no_posture_shows_is_not_stated(measured, link_std: float) -> None:
     table, robot = measured
-    problem = build_problem(robot, pair_visits(table, None), Knowledge(inertials=inertials))
+    problem = build_problem(robot, pair_visits(table, None), Knowledge(link_std=link_std))
     load = loads_of(problem, fit(problem, (), first_noise(problem)), robot)[0]
-    expected = run(table, robot, EstimateOptions(inertials=inertials)).loads[0]
+    expected = run(table, robot, Knowledge(link_std=link_std)).loads[0]
     names = ("com_x_m", "com_y_m", "com_z_m")
     open_ = [name in expected.unidentifiable for name in names]
     assert any(open_)

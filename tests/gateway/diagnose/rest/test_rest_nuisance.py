@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.nuisance import UNEVEN_LOSS, nuisance_prior
 from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import common_columns, modelled, with_terms
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_nuisance import KINDS, RestNuisance, left_of_cold, nuisance_setting
 from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.model.effects.axis_coupling import TorqueMixing

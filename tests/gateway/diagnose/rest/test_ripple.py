@@ -12,8 +12,8 @@ from gateway.diagnose import diagnose
 from gateway.diagnose.rest.pose_selection import RIPPLE, questions
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.ripple import order_analysis
+from gateway.identify.knowledge import Knowledge
 from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects
-from gateway.identify.rest.problem import Knowledge
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effects.torque_ripple import (
     LEAST_PER_REVOLUTION,
@@ -58,8 +58,7 @@ def test_ripple_is_named_with_its_order_where_the_angles_determine_it(seed, axis
 @pytest.mark.parametrize("poses", [8])
 def test_where_any_order_would_do_none_is_named_and_the_reason_is_reported(poses):
     bench = swinging(2101, poses, 3, 163.9)
-    options = replace(bench.options, only=RIPPLE_OR_OFFSET)
-    result = diagnose(bench.both(), bench.robot, options)
+    result = diagnose(bench.both(), bench.robot, bench.options, only=RIPPLE_OR_OFFSET)
     assert result.verdict == "unexplained"
     assert result.effects == ()
     words = [finding for finding in result.findings if "gear ratio would decide" in finding.what]
@@ -68,8 +67,9 @@ def test_where_any_order_would_do_none_is_named_and_the_reason_is_reported(poses
     assert f"{poses} poses" in words[0].what
     assert result.next[0].poses_rad
     # and it does
-    with_ratio = replace(options, gear_ratio=np.full(6, 163.9))
-    assert ("torque_ripple", (4,)) in found(diagnose(bench.both(), bench.robot, with_ratio))
+    with_ratio = replace(bench.options, gear_ratio=np.full(6, 163.9))
+    result = diagnose(bench.both(), bench.robot, with_ratio, only=RIPPLE_OR_OFFSET)
+    assert ("torque_ripple", (4,)) in found(result)
 
 
 @pytest.mark.parametrize(
@@ -77,10 +77,10 @@ def test_where_any_order_would_do_none_is_named_and_the_reason_is_reported(poses
 )
 def test_more_angles_are_asked_for_where_a_ripple_may_be_hidden(structure_p, ratio, asked):
     bench = Bench(3, [], poses=6)
-    options = replace(bench.options, gear_ratio=None if ratio is None else np.full(6, ratio))
+    knowledge = Knowledge(link_std=0.05, gear_ratio=None if ratio is None else np.full(6, ratio))
     problem = problem_of(bench, bench.both())
     decision = SimpleNamespace(full=fit_without_effects(problem), near=(), structure_p=structure_p)
-    entries = questions(problem, decision, bench.robot, options, Knowledge("prior:0.05"))  # type: ignore[arg-type]
+    entries = questions(problem, decision, bench.robot, knowledge)  # type: ignore[arg-type]
     assert [entry.tells_apart for entry in entries] == [RIPPLE] * asked
     assert all(len(entry.poses_rad) == REST.asked for entry in entries)
 
@@ -92,7 +92,7 @@ def test_a_torque_without_order_is_not_called_ripple(seed):
     size = float(20.0 * half_floor(bench.plant, bench.arm.protocol)[2])
     spring = effect("linkage_spring", [3], stiffness_nm=size, phase_rad=0.4)
     bench.plant = apply_effects(bench.plant, [spring], point_jacobian(bench.arm.chain))
-    result = diagnose(bench.both(), bench.robot, replace(bench.options, gear_ratio=None, only=RIPPLE_OR_OFFSET))
+    result = diagnose(bench.both(), bench.robot, replace(bench.options, gear_ratio=None), only=RIPPLE_OR_OFFSET)
     assert result.verdict in ("unexplained", "improved")
     assert "torque_ripple" not in {name for name, _ in found(result)}
 

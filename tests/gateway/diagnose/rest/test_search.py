@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.blind.nature import diagnose_options, first_diagnosis
+from benchmarks.blind.nature import first_diagnosis, knowledge_of
 from benchmarks.nature.nature_cell import draw_cell, draw_effect_cell
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.search import Search, _exchange, run
@@ -25,7 +25,7 @@ def searched(seed: int, names: set[str], *balancers: type[Term]) -> Search:
     """A search among some effects and balancers of some types on the first recording of a drawn arm."""
     cell = draw_effect_cell(seed)
     robot = robot_from_urdf(cell.stated.urdf, "drawn")
-    diagnosis = RestDiagnosis(robot, diagnose_options(cell))
+    diagnosis = RestDiagnosis(robot, knowledge_of(cell))
     read = diagnosis.read(simulated_table(cell.measure(cell.visits)[0], "drawn"))
     problem, plain = read.problem, read.plain
     bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))

@@ -4,42 +4,15 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from sim.faults import KINDS, act, fault_of
 from sim.node import OPERATIONAL, PRE_OPERATIONAL
-from sim.serve import RunningSimulation, running
-from tests.sim.conftest import SMALL, Master
+from tests.sim.conftest import Master, Start, drive_of
 
 NODE, OTHER = 2, 3
-Start = Callable[..., contextmanager]
-
-
-@pytest.fixture
-def start(tmp_path: Path, channel: str) -> Start:
-    """Drives of which node 2 has a fault from the beginning: `start(kind, key=value)`."""
-
-    @contextmanager
-    def begin(kind: str, **keys: float) -> Iterator[tuple[Master, RunningSimulation]]:
-        scenario = tmp_path / "fault.toml"
-        more = "\n".join(f"{key} = {value}" for key, value in keys.items())
-        scenario.write_text(f'[[fault]]\nkind = "{kind}"\nnode = {NODE}\n{more}\n', encoding="utf-8")
-        with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep") as simulation:
-            master = Master(channel)
-            try:
-                yield master, simulation
-            finally:
-                master.bus.shutdown()
-
-    return begin
-
-
-def drive_of(simulation: RunningSimulation, node: int = NODE):
-    assert simulation.simulation is not None
-    return simulation.simulation.servers[0].drive(node)
 
 
 def emergencies(master: Master, can_id: int) -> list[int]:
@@ -63,37 +36,37 @@ def test_an_inhibit_time_is_taken_only_while_the_pdo_does_not_exist(start: Start
         assert master.number(NODE, 0x1800, 3) == 100
 
 
-def test_start_is_refused_until_the_communication_error_has_gone(start: Start) -> None:
+def test_start_is_refused_until_the_communication_error_has_gone(start: Start, monkeypatch) -> None:
     with start("start_refused", delay_s=0.7) as (master, simulation):
         drive, now = drive_of(simulation), [50.0]
-        drive.behaviour.clock = lambda: now[0]
+        monkeypatch.setattr("sim.drive_faults.time", SimpleNamespace(monotonic=lambda: now[0]))
         for elapsed_s in (0.0, 0.69):
             now[0] = 50.0 + elapsed_s
             master.send(0x000, bytes([1, 0]))
-            assert struct.unpack_from("<H", master.wait(0x80 + NODE))[0] == 0x8100
+            assert emergencies(master, 0x80 + NODE) == [0x8100]
             assert master.number(NODE, 0x1001) & 0x10
             assert drive.node.state == PRE_OPERATIONAL
         assert drive_of(simulation, OTHER).node.state == OPERATIONAL
         now[0] = 50.71
         master.send(0x000, bytes([1, 0]))
-        assert struct.unpack_from("<H", master.wait(0x80 + NODE))[0] == 0
+        assert emergencies(master, 0x80 + NODE) == [0]
         assert master.number(NODE, 0x1001) == 0
         assert drive.node.state == OPERATIONAL
 
 
-def test_start_may_be_refused_for_ever(start: Start) -> None:
+def test_start_may_be_refused_for_ever(start: Start, monkeypatch) -> None:
     with start("start_never") as (master, simulation):
         drive, now = drive_of(simulation), [0.0]
-        drive.behaviour.clock = lambda: now[0]
+        monkeypatch.setattr("sim.drive_faults.time", SimpleNamespace(monotonic=lambda: now[0]))
         for now[0] in (1.0, 1e9):
             master.send(0x000, bytes([1, NODE]))
             master.wait(0x80 + NODE)
         assert drive.node.state == PRE_OPERATIONAL
 
 
-@pytest.mark.parametrize(("code", "stays"), [(0, False), (8000, True), (10_000, True), (21_000, False)])
-def test_another_sync_period_than_0x1006_says_ends_operational(start: Start, code: int, stays: bool) -> None:
-    with start("cycle_period_set", code=code) as (master, simulation):
+@pytest.mark.parametrize(("code", "stays"), [(None, False), (8000, True), (10_000, True), (21_000, False)])
+def test_another_sync_period_than_0x1006_says_ends_operational(start: Start, code: int | None, stays: bool) -> None:
+    with start("cycle_period_set", **{} if code is None else {"code": code}) as (master, simulation):
         assert master.number(NODE, 0x1006) == (code or 1000)
         master.configure(NODE, 8)
         master.drain()
@@ -211,7 +184,7 @@ def test_a_drive_that_never_enables_stays_switched_on(start: Start) -> None:
         assert not drive_of(simulation).axis.free
 
 
-@pytest.mark.parametrize(("keys", "rad_s"), [({}, 0.02), ({"speed_rad_s": 0.005}, 0.005)])
+@pytest.mark.parametrize(("keys", "rad_s"), [({}, 0.05), ({"speed_rad_s": 0.005}, 0.005)])
 def test_a_brake_that_slips_lets_the_axis_sink_at_its_rate(start: Start, keys: dict, rad_s: float) -> None:
     with start("brake_slips", **keys) as (master, simulation):
         axis = drive_of(simulation).axis
@@ -252,8 +225,10 @@ def test_a_brake_that_fails_lets_the_axis_fall_once_it_was_opened(start: Start, 
 def test_a_repaired_drive_is_as_new(start: Start) -> None:
     with start("tpdo3_on") as (master, simulation):
         drive = drive_of(simulation)
-        drive.quirks.never_enables = drive.quirks.sto_open = True
+        for kind in [kind for kind, about in KINDS.items() if about.where in ("object", "mechanics")]:
+            act([drive], fault_of(kind, node=NODE))
         drive.repair()
+        assert master.number(NODE, 0x1018, 4) == drive.serial
         assert master.number(NODE, 0x1802, 1) >> 31
         assert master.number(NODE, 0x60FD) >> 24 & 1
         master.configure(NODE, 8)

@@ -1,41 +1,18 @@
-"""Defects of drives, each judged on the wire against a good drive beside it."""
+"""Drives that act after a delay or otherwise than they state, judged on the wire against a good drive beside them."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from sim.drive_defects import DefectError
+from sim.faults import FaultError
 from sim.serve import RunningSimulation, running
-from tests.sim.conftest import SMALL, Master
+from tests.sim.conftest import SMALL, Master, drive_of
 
 NODE, GOOD = 2, 3
-Start = Callable[..., contextmanager]
-
-
-@pytest.fixture
-def start(channel: str) -> Start:
-    """Drives of which node 2 has a defect: `start(name)`."""
-
-    @contextmanager
-    def begin(name: str, **options) -> Iterator[tuple[Master, RunningSimulation]]:
-        options = {"pacing": "lockstep"} | options
-        with running(SMALL, f"virtual:{channel}", defect=(f"{NODE}:{name}",), **options) as simulation:
-            master = Master(channel)
-            try:
-                yield master, simulation
-            finally:
-                master.bus.shutdown()
-
-    return begin
-
-
-def drive_of(simulation: RunningSimulation, node: int):
-    return simulation.simulation.servers[0].drive(node)
 
 
 def code_of(master: Master, action: Callable[[], object]) -> int | None:
@@ -67,7 +44,7 @@ def enable(master: Master, simulation: RunningSimulation, node: int) -> None:
 
 
 def test_the_loss_of_the_master_is_ignored(start):
-    with start("ignores_master_loss") as (_, simulation):
+    with start("heartbeat_ignored") as (_, simulation):
         received: dict[int, int] = {}
         for node in (NODE, GOOD):
             drive = drive_of(simulation, node)
@@ -76,15 +53,6 @@ def test_the_loss_of_the_master_is_ignored(start):
             drive.node.watch(1.0)
             received[node] = drive.node.error_register
     assert received == {NODE: 0, GOOD: 0x11}
-
-
-def test_delayed_tpdos_and_every_second_one(start):
-    with start("every_second_sync") as (master, _):
-        for node in (NODE, GOOD):
-            master.configure(node, 8)
-        syncs(master, 10)
-        sent = [frame.arbitration_id for frame in master.seen]
-    assert (sent.count(0x180 + NODE), sent.count(0x180 + GOOD)) == (5, 10)
 
 
 def test_a_delayed_tpdo_follows_its_sync_by_eight_milliseconds(start, tmp_path):
@@ -102,7 +70,7 @@ def test_a_delayed_tpdo_follows_its_sync_by_eight_milliseconds(start, tmp_path):
     assert delays.min() > 0.007
 
 
-def test_words_that_are_old_or_act_with_delay(start):
+def test_a_torque_word_is_three_syncs_old(start):
     with start("old_torque") as (_, simulation):
         drive = drive_of(simulation, NODE)
         word, shown, true = drive.torque_word(drive.units.torque), [], []
@@ -112,27 +80,6 @@ def test_words_that_are_old_or_act_with_delay(start):
             drive.sync()
             shown.append(drive.store.entries[0x6077, 0].get())
     assert shown == [0, 0, 0, *true[:2]]
-    with start("delayed_rpdo") as (master, _):
-        for node in (NODE, GOOD):
-            master.configure(node, 8)
-            master.send(0x200 + node, struct.pack("<Hih", 0x06, 0, 0))
-        words = []
-        for _ in range(2):
-            syncs(master, 1)
-            words.append([master.number(node, 0x6041) & 0x6F for node in (NODE, GOOD)])
-    assert words == [[0x40, 0x21], [0x21, 0x21]]
-
-
-def test_a_controlword_acts_after_forty_milliseconds(start):
-    with start("delayed_controlword") as (master, _):
-        for node in (NODE, GOOD):
-            master.write(node, 0x6040, 0, 0x06, 2)
-        words = []
-        for _ in range(6):
-            words.append([master.number(node, 0x6041) & 0x6F for node in (NODE, GOOD)])
-            syncs(master, 1)
-    assert [word[1] for word in words] == [0x21] * 6
-    assert [word[0] for word in words] == [0x40] * 4 + [0x21] * 2
 
 
 @pytest.mark.parametrize(
@@ -169,7 +116,10 @@ def test_the_joint_drops_until_a_slow_brake_has_closed(start):
     assert dropped[GOOD] < 0.0005
 
 
-@pytest.mark.parametrize("text", ["2:unknown", "99:delayed_tpdo", "delayed_tpdo"])
-def test_an_unknown_defect_or_node_is_refused(channel, text):
-    with pytest.raises(DefectError, match="NODE:NAME"), running(SMALL, f"virtual:{channel}", defect=(text,)):
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("2:unknown", "unknown kind"), ("99:delayed_tpdo", "no drive has node 99"), ("no_such_thing", "NODE:]NAME")],
+)
+def test_an_unknown_fault_or_node_is_refused(channel, text, says):
+    with pytest.raises(FaultError, match=says), running(SMALL, f"virtual:{channel}", fault=(text,)):
         pass
