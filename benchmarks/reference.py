@@ -34,8 +34,7 @@ from gateway.cell.config import Cell
 from gateway.cell.plausible import BOUNDS
 from gateway.cli import main as program
 from gateway.data.blackbox.part import FIELDS
-from gateway.data.blackbox.ring_buffer import KEPT_S
-from gateway.data.blackbox.spool import MOST_BOXES
+from gateway.data.blackbox.ring_buffer import KEPT_S, MOST_BOXES
 from gateway.data.csv_text import BLANK_ALLOWED, COLUMNS, PERIOD_COLUMNS
 from gateway.data.period import KINDS, LEAST_PER_HARMONIC
 from gateway.data.periodic import CUTOFF_HZ

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Final, NoReturn
 
 from drives.abort import ABSENT
@@ -71,11 +71,6 @@ class NodeAccess:
         #: Type and value of each configured object when it was last read back.
         self._configured: dict[Address, tuple[str, int]] = {}
         self._ledger = ledger
-
-    @property
-    def serial_number(self) -> int | None:
-        """Return the serial number of the device."""
-        return self.device.serial_number
 
     def read(self, entry: Entry, options: Transfer = NORMAL) -> int:
         """Read an object."""
@@ -242,14 +237,6 @@ class NodeAccess:
                 return note.old
         return held
 
-    def write_if_taken(self, entry: Entry, value: int, reason: str) -> bool:
-        """Write an object as `write` does; return False if the drive refuses the value."""
-        try:
-            self.write(entry, value, reason)
-        except SdoAbort:
-            return False
-        return True
-
     def is_in_ledger(self, *indices: int) -> bool:
         """Return whether the ledger has an unrestored write to one of these objects of this device."""
         return any(entry.index in indices for entry in self.noted)
@@ -313,20 +300,14 @@ class NodeAccess:
                 self.sdo.write(*words, options)
 
     def _entry(self, step: Step, old: int, writer: Writer = "run") -> LedgerEntry:
-        device = self.device
         return LedgerEntry(
-            self.node_id,
-            step.index,
-            step.subindex,
-            step.data_type,
-            old,
-            step.value,
-            step.reason,
-            serial_number=device.serial_number,
-            vendor_id=device.vendor_id,
-            product_code=device.product_code,
-            revision=device.revision,
-            bus=device.bus,
+            **asdict(self.device),
+            index=step.index,
+            subindex=step.subindex,
+            data_type=step.data_type,
+            old=old,
+            new=step.value,
+            reason=step.reason,
             writer=writer,
         )
 

@@ -18,7 +18,7 @@ from drives.bus import EMCY_BASE
 from drives.bus_spec import NETWORKS
 from drives.busload import load_percent
 from drives.cia402 import AT_REST, Mode, decode_state, describe
-from drives.discovery import count_answers, is_simulator, nmt_states, read_identity, require_one
+from drives.discovery import FREE_S, count_answers, is_simulator, nmt_states, read_identity, refuse_foreign, require_one
 from drives.drive import POLL_S, Cia402Drive
 from drives.errors import (
     BusOverload,
@@ -28,7 +28,6 @@ from drives.errors import (
     SdoAbort,
     raise_failures,
 )
-from drives.foreign_master import FREE_S, refuse_foreign
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.instrument import Instrument
 from drives.ledger import KnownDevice, without_shared_serials
@@ -520,7 +519,7 @@ def connect_for_restore(nodes: Nodes) -> None:
     absent = {failure.node for failure in nodes.failures_found}
     for node in nodes.all:
         if node.node_id in absent:
-            node.close()
+            node.access.sdo.close()
     nodes.drives = tuple(drive for drive in nodes.drives if drive.node_id not in absent)
     nodes.instruments = tuple(device for device in nodes.instruments if device.node_id not in absent)
 

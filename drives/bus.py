@@ -14,10 +14,9 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any, Final, NoReturn, Protocol
+from typing import Any, Final, NoReturn
 
 import can
-import canopen
 
 from drives.bus_spec import BusSpec
 from drives.errors import BusError, ForeignMaster
@@ -74,30 +73,11 @@ _DRAIN_S: Final = 0.05
 #: Interfaces whose frames carry this computer's wall clock, taken when a frame came in (on virtual: was sent).
 _STAMPING: Final = frozenset({"socketcan", "udp_multicast", "virtual"})
 
+#: A received or prepared CAN frame.
+Frame = can.Message
 Handler = Callable[[int, bytes | bytearray, float], None]
 #: Takes every frame and whether it was received; it must only store.
-Tap = Callable[["Frame", bool], None]
-
-
-class Frame(Protocol):
-    """Fields of a received or prepared CAN frame that the master uses."""
-
-    arbitration_id: int
-    data: bytearray
-    timestamp: float
-
-
-class _Network(canopen.Network):
-    """canopen network without a notifier thread; it sends through `Bus`, which passes received frames to it."""
-
-    def __init__(self, owner: Bus) -> None:
-        super().__init__(bus=None)
-        self._owner = owner
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        if remote:
-            raise BusError("remote frames are not sent", advice="CiA 301 recommends against them")
-        self._owner.send(can_id, bytes(data))
+Tap = Callable[[Frame, bool], None]
 
 
 class Bus:
@@ -133,7 +113,6 @@ class Bus:
         self._chores: list[Callable[[], None]] = []
         self._failures = 0
         self._dispatching: int | None = None
-        self._network: _Network | None = None
         self._taps: tuple[Tap, ...] = ()
         self._receive: Callable[[float], Any] = adapter.recv
         for can_id in (NMT_ID, SYNC_ID, *range(SDO_REQUEST_BASE + 1, SDO_REQUEST_BASE + 128)):
@@ -215,18 +194,14 @@ class Bus:
         can_id = frame.arbitration_id
         handlers = self._handlers.get(can_id)
         if handlers is None:
-            if self._network is None or can_id not in self._network.subscribers:
-                self.counts["unclaimed"] += 1
-                return
-        else:
-            outer, self._dispatching = self._dispatching, threading.get_ident()
-            try:
-                for handler in handlers:
-                    handler(can_id, frame.data, frame.timestamp)
-            finally:
-                self._dispatching = outer
-        if self._network is not None:
-            self._network.notify(can_id, frame.data, frame.timestamp)
+            self.counts["unclaimed"] += 1
+            return
+        outer, self._dispatching = self._dispatching, threading.get_ident()
+        try:
+            for handler in handlers:
+                handler(can_id, frame.data, frame.timestamp)
+        finally:
+            self._dispatching = outer
 
     @property
     def in_handler(self) -> bool:
@@ -370,13 +345,6 @@ class Bus:
         raise DRIVE_RULES["queue_full"].raised(f"{self.spec}: {what}: {str(error) or type(error).__name__}") from error
 
     # -- life --------------------------------------------------------------------------------------------------------
-
-    @property
-    def network(self) -> canopen.Network:
-        """Return the canopen network on this bus (SDO, NMT, EMCY); it does not receive the PDOs of a drive group."""
-        if self._network is None:
-            self._network = _Network(self)
-        return self._network
 
     def close(self) -> None:
         """Close the adapter; may be called again. Never raises: an adapter that is gone cannot be closed."""

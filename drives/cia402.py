@@ -1,9 +1,9 @@
 """CiA 402 state machine: pure tables and functions (CiA 402-2, clause 8: finite state automaton and statusword).
 
-Which controlword follows from which state is decided here, for each goal: `next_controlword` (enable),
+Which controlword follows from which state is decided here, for each goal: `enabling_controlword` (enable),
 `stopping_controlword` (quick stop), `disabling_controlword` (disable) and `RESET` (fault reset).
 
-No route passes through OPERATION ENABLED unless that is the target. Transition 16 (QUICK STOP ACTIVE to OPERATION
+Only enabling leads to OPERATION ENABLED. Transition 16 (QUICK STOP ACTIVE to OPERATION
 ENABLED) is never used. Only `RESET` has the fault reset bit: a fault is reset on request.
 """
 
@@ -88,43 +88,13 @@ def _match(word: int) -> State:
 
 _STATES: Final = tuple(_match(word) for word in range(0x80))
 
-#: Controlword by target, then by present state; a state that is absent has no route to that target.
-_ROUTES: Final[dict[State, dict[State, int]]] = {
-    State.SWITCH_ON_DISABLED: {
-        State.NOT_READY: DISABLE_VOLTAGE,
-        State.SWITCH_ON_DISABLED: DISABLE_VOLTAGE,
-        State.READY_TO_SWITCH_ON: DISABLE_VOLTAGE,
-        State.SWITCHED_ON: DISABLE_VOLTAGE,
-        State.OPERATION_ENABLED: DISABLE_OPERATION,
-        State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
-    },
-    State.READY_TO_SWITCH_ON: {
-        State.NOT_READY: DISABLE_VOLTAGE,
-        State.SWITCH_ON_DISABLED: SHUTDOWN,
-        State.READY_TO_SWITCH_ON: SHUTDOWN,
-        State.SWITCHED_ON: SHUTDOWN,
-        State.OPERATION_ENABLED: DISABLE_OPERATION,
-        State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
-    },
-    State.SWITCHED_ON: {
-        State.NOT_READY: DISABLE_VOLTAGE,
-        State.SWITCH_ON_DISABLED: SHUTDOWN,
-        State.READY_TO_SWITCH_ON: SWITCH_ON,
-        State.SWITCHED_ON: SWITCH_ON,
-        State.OPERATION_ENABLED: DISABLE_OPERATION,
-        State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
-    },
-    State.OPERATION_ENABLED: {
-        State.NOT_READY: DISABLE_VOLTAGE,
-        State.SWITCH_ON_DISABLED: SHUTDOWN,
-        State.READY_TO_SWITCH_ON: SWITCH_ON,
-        State.SWITCHED_ON: ENABLE_OPERATION,
-        State.OPERATION_ENABLED: ENABLE_OPERATION,
-    },
-    State.QUICK_STOP_ACTIVE: {
-        State.OPERATION_ENABLED: QUICK_STOP,
-        State.QUICK_STOP_ACTIVE: QUICK_STOP,
-    },
+#: Controlword towards OPERATION ENABLED by present state; from a state that is absent there is no route.
+_ENABLING: Final = {
+    State.NOT_READY: DISABLE_VOLTAGE,
+    State.SWITCH_ON_DISABLED: SHUTDOWN,
+    State.READY_TO_SWITCH_ON: SWITCH_ON,
+    State.SWITCHED_ON: ENABLE_OPERATION,
+    State.OPERATION_ENABLED: ENABLE_OPERATION,
 }
 
 #: States in which the drive exerts no torque of its own will, or will not without a new command.
@@ -135,7 +105,7 @@ FAULTED: Final = frozenset({State.FAULT, State.FAULT_REACTION_ACTIVE, State.UNDE
 
 
 class NoRoute(ValueError):  # noqa: N818 - reads as what happened
-    """No permitted transitions lead from the present state to the target; a person has to act."""
+    """No permitted transitions lead from the present state to OPERATION ENABLED; a person has to act."""
 
 
 def decode_state(statusword: int) -> State:
@@ -143,30 +113,17 @@ def decode_state(statusword: int) -> State:
     return _STATES[statusword & STATE_MASK]
 
 
-def next_controlword(state: State, target: State) -> int:
-    """Return the controlword of the next transition towards `target`; once reached, the one that keeps the state.
-
-    Parameters
-    ----------
-    state : State
-        Present state from the drive's statusword.
-    target : State
-        SWITCH_ON_DISABLED, READY_TO_SWITCH_ON, SWITCHED_ON, OPERATION_ENABLED or QUICK_STOP_ACTIVE.
-
-    Returns
-    -------
-    int
-        A word without the fault reset bit; with the enable operation bit only if `target` is OPERATION_ENABLED.
+def enabling_controlword(state: State) -> int:
+    """Return the controlword of the next transition towards OPERATION ENABLED, or that keeps it; no fault reset bit.
 
     Raises
     ------
     NoRoute
-        From a fault, from QUICK STOP ACTIVE back to OPERATION ENABLED, to QUICK STOP ACTIVE from a state in which
-        nothing moves, or to a state that cannot be commanded.
+        From a fault, or from QUICK STOP ACTIVE.
     """
-    word = _ROUTES.get(target, {}).get(state)
+    word = _ENABLING.get(state)
     if word is None:
-        raise NoRoute(f"there is no route from {state} to {target}")
+        raise NoRoute(f"there is no route from {state} to {State.OPERATION_ENABLED}")
     return word
 
 
@@ -191,7 +148,7 @@ def disabling_controlword(state: State, *, brake_closes: bool = False) -> int:
     """
     if brake_closes and state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE):
         return stopping_controlword(state)
-    return _ROUTES[State.SWITCH_ON_DISABLED].get(state, DISABLE_VOLTAGE)
+    return DISABLE_OPERATION if state is State.OPERATION_ENABLED else DISABLE_VOLTAGE
 
 
 def mode_supported(supported_modes: int, mode: Mode) -> bool:

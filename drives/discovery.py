@@ -1,21 +1,75 @@
-"""Who is on the bus: one SDO request to every node id, NMT states by heartbeat, and the identity of each node."""
+"""Who is on the bus: other masters, nodes by one SDO request each, NMT states by heartbeat, identity of each node."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from drives.bus import SDO_ANSWER_BASE, SDO_REQUEST_BASE, Bus
-from drives.errors import DriveError, DuplicateNode, NodeMissing, SdoAbort, SdoProtocolError
-from drives.foreign_master import FREE_S, refuse_foreign
-from drives.heartbeat import HeartbeatWatch, NmtCommand, NmtState, send_nmt
+from drives.bus import HEARTBEAT_BASE, NMT_ID, SDO_ANSWER_BASE, SDO_REQUEST_BASE, SYNC_ID, Bus
+from drives.errors import DriveError, DuplicateNode, ForeignMaster, NodeMissing, SdoAbort, SdoProtocolError
+from drives.heartbeat import MASTER_NODE_ID, HeartbeatWatch, NmtCommand, NmtState, send_nmt
 from drives.objects import OBJECTS
 from drives.profile_file import GENERIC, list_profiles, load_profile
 from drives.sdo import SdoClient
 from drives.values import Identity
+
+#: A bus on which no master has sent for so long [s] is free: longer than SYNC periods and heartbeats of masters.
+FREE_S: Final = 0.5
+_MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
+
+
+def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MASTER_NODE_ID) -> None:
+    """Refuse a bus on which another master is active; nothing is sent. Afterwards `Bus.check_free` monitors the bus.
+
+    Parameters
+    ----------
+    bus : Bus
+    listen_s : float
+        How long to listen.
+    master_node_id : int
+        Node id with which masters send their heartbeat.
+
+    Raises
+    ------
+    ForeignMaster
+        Another master sends SYNC, NMT commands, SDO requests, or a heartbeat with the node id of a master.
+    """
+    beats = 0
+
+    def on_beat(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:
+        nonlocal beats
+        beats += len(data) == 1
+
+    bus.drain()
+    before = dict(bus.foreign)
+    bus.subscribe(HEARTBEAT_BASE + master_node_id, on_beat)
+    try:
+        bus.listen(listen_s)
+    finally:
+        bus.unsubscribe(HEARTBEAT_BASE + master_node_id, on_beat)
+    new = {can_id: number - before.get(can_id, 0) for can_id, number in bus.foreign.items()}
+    sent = _sent_by_master(new)
+    advice = "end the other master, or wait until it has ended, then start again"
+    if beats and not sent:
+        advice += f"; if node {master_node_id} is a drive, give it another id: masters have this one"
+    sent += [f"the heartbeat of node {master_node_id}"] * bool(beats)
+    if sent:
+        what = f"another master is active on {bus.spec}: in {listen_s:g} s it has sent {' and '.join(sent)}"
+        raise ForeignMaster(f"{what}; nothing was sent to the drives", advice=advice)
+    bus.free_count = bus.foreign_count
+
+
+def _sent_by_master(frames: Mapping[int, int]) -> list[str]:
+    """Describe the frames of a master, counted by CAN id."""
+    sent = [f"{frames[can_id]} {what}" for can_id, what in _MASTER_ONLY if frames.get(can_id)]
+    asked = [can_id - SDO_REQUEST_BASE for can_id in sorted(frames) if can_id > SDO_REQUEST_BASE and frames[can_id]]
+    if asked:
+        sent.append(f"SDO requests to node{'s' * (len(asked) > 1)} {', '.join(map(str, asked))}")
+    return sent
+
 
 #: Uploads that every CANopen device supports: device type, vendor id. A repeated request uses the other one, so that a
 #: delayed answer to the first request does not count as a second device.
@@ -112,19 +166,6 @@ def nmt_states(bus: Bus, node_ids: Iterable[int], listen_s: float = LISTEN_S) ->
         watch.close()
 
 
-def missing(node_id: int, state: NmtState | None) -> NodeMissing:
-    """Return the error for a node that does not answer SDO, with the NMT state of its heartbeat."""
-    if state is None:
-        return NodeMissing("no device answers", node=node_id, advice="check power, node id, bit rate and cabling")
-    if state is NmtState.STOPPED:
-        what = "is in NMT state STOPPED, in which SDO is not available"
-        command = f"PRE-OPERATIONAL (CAN id 000, data 80 {node_id:02X})"
-        advice = f"find its cause; `servo-gateway restore CELL` sends NMT {command}, or switch the drive off and on"
-        return NodeMissing(what, node=node_id, advice=advice)
-    what = f"does not respond to SDO requests, although its heartbeat reports {str(state).upper()}"
-    return NodeMissing(what, node=node_id, advice="another tool may use its SDO channel; if not, power-cycle it")
-
-
 def require_one(node_id: int, answers: int, state: NmtState | None = None) -> None:
     """Make sure that one device answers at a node id; `state` is the NMT state of its heartbeat, if one was received.
 
@@ -132,11 +173,21 @@ def require_one(node_id: int, answers: int, state: NmtState | None = None) -> No
     ------
     NodeMissing, DuplicateNode
     """
-    if answers == 0:
-        raise missing(node_id, state)
+    if answers == 1:
+        return
     if answers > 1:
         advice = "give each drive its own node id"
         raise DuplicateNode(f"{answers} devices answer at this node id", node=node_id, advice=advice)
+    if state is None:
+        what, advice = "no device answers", "check power, node id, bit rate and cabling"
+    elif state is NmtState.STOPPED:
+        what = "is in NMT state STOPPED, in which SDO is not available"
+        command = f"PRE-OPERATIONAL (CAN id 000, data 80 {node_id:02X})"
+        advice = f"find its cause; `servo-gateway restore CELL` sends NMT {command}, or switch the drive off and on"
+    else:
+        what = f"does not respond to SDO requests, although its heartbeat reports {str(state).upper()}"
+        advice = "another tool may use its SDO channel; if not, power-cycle it"
+    raise NodeMissing(what, node=node_id, advice=advice)
 
 
 def read_identity(sdo: SdoClient) -> Identity:

@@ -9,7 +9,6 @@ from drives import drive_limits
 from drives.access import ObjectAccess
 from drives.bus import Bus
 from drives.cia402 import ENABLE_OPERATION, FAULTED, RESET, State, decode_state, describe
-from drives.decode import Decoder, reading_decoder
 from drives.errors import (
     CommandRefused,
     ConfigurationRefused,
@@ -22,7 +21,7 @@ from drives.objects import OBJECTS
 from drives.other_pdos import OtherPdo
 from drives.pdo import COMMAND, OFFSET, PdoPlan, rpdo_plans, tpdo_plans
 from drives.scaling import Constants, MotorScale, motor_scale
-from drives.sdo import ONCE
+from drives.sdo import NORMAL, ONCE, Transfer
 from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
 
 __all__ = ["AxisSetup", "Cia402Drive", "DriveCommand", "DriveReading", "Identity"]
@@ -73,10 +72,6 @@ class Cia402Drive:
         self._max_step_count = 0.0
         #: Lowest and highest target [counts].
         self.limit_count = drive_limits.limits_in_counts(None, 1.0)
-
-    def close(self) -> None:
-        """Stop listening."""
-        self.access.sdo.close()
 
     @property
     def scale(self) -> MotorScale:
@@ -163,13 +158,26 @@ class Cia402Drive:
         """End the drive's monitoring of the master's heartbeat."""
         self.access.write(OBJECTS["consumer_heartbeat"], 0, "the drive no longer monitors the master's heartbeat")
 
-    def note_rest(self) -> None:
-        """Store the position of the axis at rest with its brake closed."""
-        self.rest_count = self.access.read(self.setup.profile.position.object)
-
     def statusword(self) -> int:
         """Read the statusword by SDO."""
         return self.access.read(OBJECTS["statusword"])
+
+    def read_axis(self, options: Transfer = NORMAL, *, velocity: bool = False) -> tuple[int, int, int | None]:
+        """Read statusword, position [counts] and, on request, velocity as the drive reports it, by SDO.
+
+        The velocity is None where it was not requested, where the profile states no unit for it, or where the drive
+        refuses it.
+
+        Raises
+        ------
+        SdoError
+            Statusword or position cannot be read.
+        """
+        profile, read = self.setup.profile, self.access.read
+        status, count = read(OBJECTS["statusword"], options), read(profile.position.object, options)
+        if not velocity or profile.velocity is None:
+            return status, count, None
+        return status, count, self.access.read_readable(profile.velocity.object, options)
 
     def send_controlword(self, controlword: int) -> None:
         """Write the controlword by SDO, where the cycle does not send it: see `pack`."""
@@ -294,18 +302,3 @@ class Cia402Drive:
         COMMAND.pack_into(self.frames[0].data, 0, controlword, count, offset)
         if self.setup.feedforward:
             OFFSET.pack_into(self.frames[1].data, 0, velocity)
-
-    def decoder(self, first_slot: int) -> Decoder:
-        """Return a function that decodes the TPDO frames of one SYNC into this drive's reading.
-
-        Parameters
-        ----------
-        first_slot : int
-            Place of this drive's first frame among the frames of all drives.
-
-        Raises
-        ------
-        ConfigurationRefused
-            The drive has not been configured.
-        """
-        return reading_decoder(self.setup, self.scale, first_slot)

@@ -16,7 +16,7 @@ from typing import Final
 
 from drives.bringup import refuse_mode
 from drives.bus import Bus
-from drives.cia402 import Mode, NoRoute, State, decode_state, describe, next_controlword
+from drives.cia402 import Mode, NoRoute, State, decode_state, describe, enabling_controlword
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
 from drives.errors import (
@@ -174,8 +174,7 @@ def _compare_with_sdo(drives: Sequence[Cia402Drive], epoch: Epoch) -> None:
     readings = [reading for reading in epoch.readings if reading is not None]  # the epoch is complete
     for drive, reading in zip(drives, readings, strict=True):
         try:
-            position = drive.access.read(drive.setup.profile.position.object)
-            status = drive.access.read(OBJECTS["statusword"])
+            status, position, _ = drive.read_axis()
         except DriveError as error:
             failures.append(error)
             continue
@@ -242,7 +241,7 @@ def _enable_controlwords(exchange: SyncExchange) -> list[int]:
     failures = []
     for drive, state in zip(exchange.drives, exchange.states, strict=True):
         try:
-            words.append(0 if state is None else next_controlword(state, State.OPERATION_ENABLED))
+            words.append(0 if state is None else enabling_controlword(state))
         except NoRoute as error:
             what = f"{error}: {drive.fault_text()}"
             advice = "find and remove the cause; nothing is reset automatically"

@@ -1,17 +1,104 @@
-"""SYNC epochs: the TPDOs that respond to one SYNC, complete or marked incomplete, never filled with older values."""
+"""SYNC epochs: the TPDOs that respond to one SYNC, complete or marked incomplete, never filled with older values.
+
+TPDOs carry no SYNC number, but each node responds in order. A missing TPDO may still be in transit, and would be taken
+for the answer to the next SYNC. Its frames are not assigned until as many have come as SYNCs were sent, or until three
+SYNCs in a row have brought exactly one frame each, as soon as usual: then the missing one is lost.
+
+In lockstep simulated time does not pass while a second frame is waited for, so a frame that stays alone is assigned.
+The missing one counts as lost after more SYNCs, because they are sent faster.
+"""
 
 from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from drives.alignment import Alignment
 from drives.bus import Bus, Frame
-from drives.sdo import SdoClient
+from drives.sdo import Posted, SdoClient
 from drives.values import DriveReading, InstrumentReading
+
+#: SYNCs in a row with exactly one frame, in the usual time, after which a missing frame counts as lost: in real time,
+#: and in lockstep, where they take half a second.
+_AS_USUAL: Final = 3
+_AS_USUAL_LOCKSTEP: Final = 200
+#: What the usual time of an answer is multiplied with, and what is added, for an answer to be as soon as usual.
+_SLOW: Final = 4.0
+_SLACK_S: Final = 0.001
+#: In lockstep: shortest time in which a second frame of an unassigned TPDO is waited for [s].
+_SECOND_S: Final = 0.002
+#: Share of a new row in the usual time.
+_NEW: Final = 0.1
+
+
+@dataclass(slots=True)
+class _Unassigned:
+    """State of one TPDO whose frames cannot be assigned to a SYNC at present.
+
+    Attributes
+    ----------
+    owed : int
+        SYNCs since the first unanswered one, less the frames that have come.
+    came : int
+        Frames since the last SYNC.
+    usual : bool
+        Whether all of these came as soon as usual.
+    in_a_row : int
+        SYNCs in a row with exactly one frame as soon as usual.
+    """
+
+    owed: int
+    came: int = 0
+    usual: bool = True
+    in_a_row: int = 0
+
+
+class Alignment:
+    """Tracks for each TPDO whether its next frame responds to the last SYNC.
+
+    Parameters
+    ----------
+    lockstep : bool
+    """
+
+    def __init__(self, *, lockstep: bool = False) -> None:
+        #: By slot, those of which it is not known.
+        self.unassigned: dict[int, _Unassigned] = {}
+        self._usual_s: float | None = None
+        self._lost_after = _AS_USUAL_LOCKSTEP if lockstep else _AS_USUAL
+
+    @property
+    def second_s(self) -> float:
+        """Return how long a second frame is waited for in lockstep [s]."""
+        return max(_SECOND_S, _SLOW * (self._usual_s or 0.0))
+
+    def learn(self, row_s: float) -> None:
+        """Record the time from a SYNC until all its TPDOs were received [s]."""
+        self._usual_s = row_s if self._usual_s is None else self._usual_s + _NEW * (row_s - self._usual_s)
+
+    def came(self, slot: int, after_s: float) -> None:
+        """Record a frame of an unassigned TPDO and its time after the last SYNC [s] (negative = before it)."""
+        state = self.unassigned[slot]
+        state.came += 1
+        state.usual &= 0.0 <= after_s <= _SLOW * (self._usual_s or 0.0) + _SLACK_S
+
+    def end(self, frames: Sequence[object | None]) -> None:
+        """Evaluate the responses to the last SYNC, delayed ones included, before the next SYNC is sent."""
+        for slot, state in tuple(self.unassigned.items()):
+            state.owed += 1 - state.came
+            state.in_a_row = state.in_a_row + 1 if state.came == 1 and state.usual else 0
+            if state.owed <= 0 or state.in_a_row >= self._lost_after:
+                del self.unassigned[slot]
+            else:
+                state.came, state.usual = 0, True
+        if None in frames:
+            for slot, data in enumerate(frames):
+                if data is None and slot not in self.unassigned:
+                    self.unassigned[slot] = _Unassigned(owed=1)
+
 
 #: Largest plausible age of a time stamp [s]; a larger one means that a clock was set.
 _CLOCK_SET_S: Final = 10.0
@@ -57,23 +144,12 @@ class Epoch(NamedTuple):
         return tuple(axis for axis, reading in enumerate(self.readings) if reading is None)
 
 
-@dataclass(slots=True)
-class EpochCounts:
-    """Numbers of irregular TPDO frames."""
-
-    late: int = 0
-    duplicate: int = 0
-    ambiguous: int = 0
-    wrong_length: int = 0
-    unsure: int = 0
-
-
 class EpochCollector:
     """Collects the TPDOs that respond to one SYNC.
 
     TPDOs carry no number, so what arrives outside `collect` belongs to an earlier SYNC: it is counted and dropped. So
     is a frame with a time stamp before its SYNC. Other frames that may answer an earlier SYNC are not assigned
-    (`drives.alignment`). Of two different frames of one TPDO after one SYNC neither is assigned. The slot then stays
+    (`Alignment`). Of two different frames of one TPDO after one SYNC neither is assigned. The slot then stays
     empty, and `frames` holds the frame.
 
     In lockstep simulated time does not pass while an answer is missing, so the window is extended. A drive that has not
@@ -95,7 +171,8 @@ class EpochCollector:
     def __init__(
         self, bus: Bus, slots: Sequence[tuple[int, int]], window_s: float, lockstep: Sequence[SdoClient] = ()
     ) -> None:
-        self.counts = EpochCounts()
+        #: Irregular TPDO frames by kind: late, duplicate, ambiguous, wrong_length, unsure.
+        self.counts: Counter[str] = Counter()
         #: Answers that came after their SYNC was closed, or may have, by slot.
         self.delayed_count_by_slot = [0] * len(slots)
         #: What came since the last SYNC, assigned or not.
@@ -179,7 +256,7 @@ class EpochCollector:
         if not self._lockstep:
             dropped |= alignment.unassigned.keys()
             for slot, state in alignment.unassigned.items():
-                self.counts.unsure += state.came
+                self.counts["unsure"] += state.came
                 self.delayed_count_by_slot[slot] += state.came
         return [None if slot in dropped else data for slot, data in enumerate(self.frames)]
 
@@ -195,7 +272,7 @@ class EpochCollector:
                 if slot is None:
                     self._bus.dispatch(frame)
                 elif len(frame.data) != sizes[slot]:
-                    self.counts.wrong_length += 1
+                    self.counts["wrong_length"] += 1
                 elif frames[slot] is None and frame.timestamp >= sent_wall_s and not unassigned:
                     frames[slot] = frame.data
                     left -= 1
@@ -224,14 +301,14 @@ class EpochCollector:
         return False
 
     def _count_delayed(self, slot: int) -> None:
-        self.counts.late += 1
+        self.counts["late"] += 1
         self.delayed_count_by_slot[slot] += 1
 
     def _take_again(self, slot: int, data: bytes | bytearray) -> None:
         """Handle a second frame of one TPDO after one SYNC."""
-        self.counts.duplicate += 1
+        self.counts["duplicate"] += 1
         if self.frames[slot] != data:
-            self.counts.ambiguous += 1
+            self.counts["ambiguous"] += 1
             self._contradicted.add(slot)
 
     def _pursue(self, left: int) -> int:
@@ -242,13 +319,13 @@ class EpochCollector:
         """
         patience_s = self.answer_timeout_s * (1.0 if left == len(self._sizes) else _OTHERS)
         now, ask_s = time.monotonic(), 0.0
+        asked: dict[SdoClient, Posted] = {}
         while left and patience_s > 0.0:
             missing = {sdo for sdo, data in zip(self._lockstep, self.frames, strict=True) if data is None}
             if now >= ask_s:
-                for sdo in missing:
-                    sdo.ask()
+                asked = {sdo: sdo.ask() for sdo in missing}
                 ask_s = now + _ASK_AGAIN_S
-            elif not any(sdo.asked for sdo in missing):
+            elif all(asked[sdo].answered for sdo in missing):
                 break
             wait_s = min(_LOOK_S, ask_s - now, patience_s)
             left = self._gather(left, now + wait_s)
@@ -260,7 +337,7 @@ class EpochCollector:
         """Count a TPDO that arrives outside the response window of a SYNC."""
         slot = self._slot_of[can_id]
         if len(data) != self._sizes[slot]:
-            self.counts.wrong_length += 1
+            self.counts["wrong_length"] += 1
         elif slot in self._alignment.unassigned:
             self._count_delayed(slot)
             self._alignment.came(slot, math.inf)

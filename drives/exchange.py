@@ -14,12 +14,12 @@ from drives.bus import SYNC_ID, Bus, Frame
 from drives.busload import LOAD_LIMIT_PERCENT
 from drives.cia402 import ENABLE_OPERATION, WARNING, State, decode_state
 from drives.clock import LockstepClock, SyncClock, spare_collections
-from drives.decode import Decoder, Frames
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch, EpochCollector
 from drives.heartbeat import HeartbeatProducer
 from drives.instrument import Instrument, InstrumentSetup
 from drives.reactions import DRIVE_RULES
+from drives.scaling import Decoder, Frames, reading_decoder
 from drives.standstill import Standstill
 from drives.values import DriveReading
 
@@ -27,6 +27,8 @@ Pacing = Literal["lockstep", "real"]
 
 #: Longest wait for a drive that does not respond while the others have to be stopped.
 _HURRY_S: Final = 0.1
+#: Real time: share of the SYNC period in which an answer counts.
+_WINDOW: Final = 0.9
 #: SYNCs in a row with unassigned answers until the axis counts as not responding.
 _MAX_UNASSIGNABLE: Final = 10
 
@@ -43,12 +45,8 @@ class GroupOptions:
         Lockstep: longest wait for a drive that answers neither SYNC nor the SDO query.
     gap_timeout_s : float
         Lockstep: how long answers are waited for until that query is sent, and again before the next SYNC.
-    window : float
-        Real time: share of the SYNC period in which an answer counts.
     unanswered_syncs : int or None
         SYNCs in a row that an axis may leave unanswered; None = as the table of reactions says.
-    foreign_frames : int
-        SDO requests or setpoints of another master with one id; of SYNC and NMT commands one frame is enough.
     load_limit_percent : float
         Real time: largest planned worst-case bus load.
     instruments : tuple of InstrumentSetup
@@ -61,9 +59,7 @@ class GroupOptions:
     ledger_path: Path | None = None
     answer_timeout_s: float = 1.0
     gap_timeout_s: float = 0.02
-    window: float = 0.9
     unanswered_syncs: int | None = None
-    foreign_frames: int = DRIVE_RULES["foreign_master"].count
     load_limit_percent: float = LOAD_LIMIT_PERCENT
     instruments: tuple[InstrumentSetup, ...] = ()
     allow_real_drive: bool = False
@@ -96,8 +92,8 @@ class SyncExchange:
     bus : Bus
     drives : sequence of Cia402Drive
     timing : Timing
-    producer : HeartbeatProducer
-        The master's heartbeat goes out before the commands, when it is due.
+    heartbeat : HeartbeatProducer
+        The master's heartbeat goes out before the commands, when it is due; a command that is not confirmed stops it.
     first_index : int
         SYNC index before the first one.
     instruments : sequence of Instrument
@@ -109,7 +105,7 @@ class SyncExchange:
         bus: Bus,
         drives: Sequence[Cia402Drive],
         timing: Timing,
-        producer: HeartbeatProducer,
+        heartbeat: HeartbeatProducer,
         first_index: int = 0,
         instruments: Sequence[Instrument] = (),
     ) -> None:
@@ -152,7 +148,7 @@ class SyncExchange:
             owners += [instrument.access.sdo] * len(instrument.answers)
         if timing.pacing == "real":
             self.clock = SyncClock(bus, timing.period_s)
-            self.collector = EpochCollector(bus, slots, timing.options.window * timing.period_s)
+            self.collector = EpochCollector(bus, slots, _WINDOW * timing.period_s)
         else:
             self.clock = LockstepClock(bus, timing.period_s)
             self.collector = EpochCollector(bus, slots, timing.options.gap_timeout_s, owners)
@@ -173,7 +169,7 @@ class SyncExchange:
         self._frames: list[Frame] = [frame for each in self.drives for frame in each.frames]
         self._frames.sort(key=lambda frame: frame.arbitration_id >> 8)
         self._bus = bus
-        self._producer = producer
+        self.heartbeat = heartbeat
         self._sync_frame = bus.prepare(SYNC_ID, 0)
 
     def close(self) -> None:
@@ -189,7 +185,10 @@ class SyncExchange:
 
     def restart(self) -> None:
         """Reset phase and counters for a new run with configured drives."""
-        self._decoders = tuple(drive.decoder(slot) for drive, slot in zip(self.drives, self._first_slots, strict=True))
+        self._decoders = tuple(
+            reading_decoder(drive.setup, drive.scale, slot)
+            for drive, slot in zip(self.drives, self._first_slots, strict=True)
+        )
         self.clock.restart()
         self.collector.restart()
         self.collector.answer_timeout_s = self.timing.options.answer_timeout_s
@@ -211,15 +210,6 @@ class SyncExchange:
     def is_at_rest(self, axis: int) -> bool:
         """Return whether an axis (from 0) was at rest at the last SYNCs."""
         return self.standstills[axis].at_rest()
-
-    @property
-    def heartbeat(self) -> bool:
-        """Return whether the master's heartbeat is being sent."""
-        return self._producer.running
-
-    def end_heartbeat(self) -> None:
-        """Stop the master's heartbeat so that the drives stop themselves: a command was not confirmed."""
-        self._producer.stop()
 
     def hurry(self) -> None:
         """Shorten the time-outs for missing responses from now on, because the axes have to be stopped."""
@@ -252,7 +242,7 @@ class SyncExchange:
         """
         self._bus.receive_lock.acquire()
         self._begun_by = threading.get_ident()
-        self._producer.tick(self.sync_time_s)
+        self.heartbeat.tick()
         self._recall = recall = []
         self._moves = self._moving = False
         for drive, word, state in () if words is None else zip(self.drives, words, self.states, strict=True):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,37 +19,6 @@ SUFFIXES: Final = tuple(_READERS)
 #: A packed frame: time [s], CAN id, flags, data length code, content.
 FRAME: Final = struct.Struct("<dIBB8s")
 RECEIVED, EXTENDED, REMOTE, ERROR = 1, 2, 4, 8
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedFrame:
-    """One frame of a log.
-
-    Attributes
-    ----------
-    time_s : float
-        As it was logged: on most adapters seconds of this computer's wall clock.
-    can_id : int
-    data : bytes
-    received : bool
-        False: this master sent it.
-    kind : str
-        `data`, `remote`, `error`.
-    extended : bool
-        Whether the id has 29 bit.
-    length : int
-        Data length code; that of a remote frame is not that of its data.
-    channel : str or int or None
-    """
-
-    time_s: float
-    can_id: int
-    data: bytes
-    received: bool = True
-    kind: str = "data"
-    extended: bool = False
-    length: int = 8
-    channel: str | int | None = None
 
 
 def packed_frame(frame: Any, received: bool, time_s: float) -> bytes:
@@ -92,15 +60,21 @@ def add_packed(log: Any, frames: bytes, channel: str | int | None) -> None:
         It cannot be written.
     """
     for time_s, can_id, flags, length, data in FRAME.iter_unpack(frames):
-        kind = "error" if flags & ERROR else "remote" if flags & REMOTE else "data"
-        content, received = b"" if kind == "remote" else data[:length], bool(flags & RECEIVED)
-        frame = LoggedFrame(
-            time_s, can_id, content, received, kind, bool(flags & EXTENDED), length, channel if received else None
+        message = can.Message(
+            timestamp=time_s,
+            arbitration_id=can_id,
+            data=b"" if flags & REMOTE else data[:length],
+            is_rx=bool(flags & RECEIVED),
+            is_error_frame=bool(flags & ERROR),
+            is_remote_frame=bool(flags & REMOTE),
+            is_extended_id=bool(flags & EXTENDED),
+            dlc=length,
+            channel=channel if flags & RECEIVED else None,
         )
-        log.on_message_received(_message(frame))
+        log.on_message_received(message)
 
 
-def read_frames(path: Path) -> list[LoggedFrame]:
+def read_frames(path: Path) -> list[can.Message]:
     """Every frame of a log, in its order.
 
     Parameters
@@ -118,14 +92,14 @@ def read_frames(path: Path) -> list[LoggedFrame]:
     reader, mode = _READERS[path.suffix.lower()]
     try:
         with path.open(mode) as stream:
-            return [_of_message(message) for message in reader(stream)]
+            return list(reader(stream))
     except OSError:
         raise
     except Exception as error:  # python-can's readers report damage by many kinds of exception
         raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from error
 
 
-def write_blf(path: Path, frames: Iterable[LoggedFrame]) -> None:
+def write_blf(path: Path, frames: Iterable[can.Message]) -> None:
     """Write frames as BLF, with the times that they have.
 
     Raises
@@ -135,32 +109,4 @@ def write_blf(path: Path, frames: Iterable[LoggedFrame]) -> None:
     """
     with can.BLFWriter(path) as log:
         for frame in frames:
-            log.on_message_received(_message(frame))
-
-
-def _of_message(message: Any) -> LoggedFrame:
-    kind = "error" if message.is_error_frame else "remote" if message.is_remote_frame else "data"
-    return LoggedFrame(
-        time_s=message.timestamp,
-        can_id=message.arbitration_id,
-        data=bytes(message.data),
-        received=message.is_rx,
-        kind=kind,
-        extended=message.is_extended_id,
-        length=message.dlc,
-        channel=message.channel,
-    )
-
-
-def _message(frame: LoggedFrame) -> can.Message:
-    return can.Message(
-        timestamp=frame.time_s,
-        arbitration_id=frame.can_id,
-        data=frame.data,
-        is_rx=frame.received,
-        is_error_frame=frame.kind == "error",
-        is_remote_frame=frame.kind == "remote",
-        is_extended_id=frame.extended,
-        dlc=frame.length,
-        channel=frame.channel,
-    )
+            log.on_message_received(frame)

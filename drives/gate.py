@@ -31,10 +31,10 @@ from drives.errors import (
     SdoTimeout,
     raise_failures,
 )
-from drives.heartbeat import HeartbeatWatch
+from drives.heartbeat import HeartbeatWatch, NmtState
 from drives.objects import object_name
 from drives.pdo import differences
-from drives.sdo_channel import NOT_ANSWERING
+from drives.sdo import NOT_ANSWERING
 
 #: Differences of one drive that a message names beside the first one.
 _NAMED: Final = 8
@@ -172,6 +172,7 @@ class Gate:
             return ArmState(tuple(DriveState(drive.node_id, None, error) for drive in self._drives), began, full)
         new, self._emergencies = self._emcy.count - self._emergencies, self._emcy.count
         latest = {each.node_id: each for each in self._emcy.messages[-new:]} if new else {}
+        is_stopped = self._watch.commanded is not NmtState.OPERATIONAL
         states: list[DriveState] = []
         for drive in read:
             failure, sent = drive.failure, latest.get(drive.node_id)
@@ -181,7 +182,7 @@ class Gate:
             elif failure is None and sent is not None and not sent.is_reset:
                 what = f"sent an emergency while it was disabled: {sent.what}"
                 failure = DriveFault(what, node=drive.node_id, code=sent.code, advice=sent.advice or _AGAIN)
-            elif failure is None and (self._watch.started or {}).get(drive.node_id, 0) > _SENT_BEFORE:
+            elif failure is None and is_stopped and self._watch.contrary[drive.node_id] > _SENT_BEFORE:
                 what = "is in NMT state OPERATIONAL, in which a PDO can enable it; this master did not command it"
                 failure = ForeignMaster(what, node=drive.node_id, advice=_OTHER_MASTER)
             states.append(replace(drive, failure=failure))
@@ -192,10 +193,9 @@ class Gate:
         waiting = [drive.access.sdo for drive in self._drives]
         began_s = time.monotonic()
         for _ in range(_QUESTIONS):
-            for sdo in waiting:
-                sdo.ask()
+            asked = [(sdo, sdo.ask()) for sdo in waiting]
             until_s = time.monotonic() + max((sdo.timeout_s for sdo in waiting), default=0.0)
-            while (waiting := [sdo for sdo in waiting if sdo.asked]) and time.monotonic() < until_s:
+            while (waiting := [sdo for sdo, answer in asked if not answer.answered]) and time.monotonic() < until_s:
                 self._bus.listen(_LOOK_S)
         what = f"no SDO answer within {(time.monotonic() - began_s) * 1e3:.0f} ms"
         return {

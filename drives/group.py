@@ -25,12 +25,13 @@ from drives.errors import (
     NotStoodDown,
     SdoTimeout,
     StopRequested,
+    TransitionTimeout,
     raise_failures,
     while_stopping,
 )
 from drives.exchange import GroupOptions, SyncExchange
 from drives.gate import ArmState, Gate
-from drives.heartbeat import HeartbeatWatch, NmtCommand, send_nmt
+from drives.heartbeat import HeartbeatWatch, NmtCommand, NmtState, send_nmt
 from drives.monitor import Monitor
 from drives.nodes import Nodes
 from drives.proof import BrakeTest, DriveTest, HeartbeatLossTest, QuickStopTest
@@ -123,8 +124,7 @@ class DriveGroup(Nodes):
         gaps_s = [None if each is None else max(least_s, 3.0 * each / 1000.0) for each in periods_ms.values()]
         watch = HeartbeatWatch(self.bus, tuple(periods_ms), gaps_s, lambda: exchange.sync_time_s)
         self._exchange, self._watch = exchange, watch
-        limits = {"silent": self.options.unanswered_syncs, "foreign_master": self.options.foreign_frames}
-        self._monitor = Monitor(self.bus, exchange, watch, self.emcy, limits)
+        self._monitor = Monitor(self.bus, exchange, watch, self.emcy, {"silent": self.options.unanswered_syncs})
         self._gate = Gate(self.bus, self.drives, watch, self.emcy)
         self._configured = True
 
@@ -192,7 +192,7 @@ class DriveGroup(Nodes):
         """
         self._require(not self._running, "disable() first")
         if not self.heartbeat.running:
-            self.heartbeat.start(self.sync_index * self.timing.period_s)
+            self.heartbeat.start()
         self.bus.listen(_ATTEND_S)
         if time.monotonic() - self._gated_s >= _GATE_EVERY_S:
             self.gate().require_approach()
@@ -234,7 +234,7 @@ class DriveGroup(Nodes):
             monitor.forgive()
             self.bus.free_count = None  # from now on the monitor watches for other masters
             exchange.restart()
-            self.heartbeat.start(exchange.sync_time_s)
+            self.heartbeat.start()
             self._running = True
             epoch = enabling.enable(self.bus, exchange, self.instruments, monitor, stop_requested)
         except BaseException as error:
@@ -279,21 +279,11 @@ class DriveGroup(Nodes):
     def _stage(self, commands: Sequence[DriveCommand] | None) -> None:
         if not self.enabled:
             self._require(False, "enable() first")
-        if self._test is not None:
-            self._stage_test(self._test, commands)
-            return
-        if commands is None:
-            for drive in self.drives:
-                drive.hold(drive.target_count)
-            return
-        for drive, command in zip(self.drives, commands, strict=True):
-            drive.stage(command)
-
-    def _stage_test(self, test: DriveTest, commands: Sequence[DriveCommand] | None) -> None:
-        for axis, drive in enumerate(self.drives):
-            count = test.held_count(axis)
-            if count is None and commands is not None:
-                drive.stage(commands[axis])
+        test, targets = self._test, (None,) * len(self.drives) if commands is None else commands
+        for axis, (drive, command) in enumerate(zip(self.drives, targets, strict=True)):
+            count = None if test is None else test.held_count(axis)
+            if count is None and command is not None:
+                drive.stage(command)
             else:
                 drive.hold(drive.target_count if count is None else count)
 
@@ -364,8 +354,7 @@ class DriveGroup(Nodes):
             A drive that reacts with a fault stays in it.
         """
         self._require(self.enabled, "enable() first")
-        test = HeartbeatLossTest(self._parts()[0], self._last_beat)
-        self._test = test
+        self._test = test = HeartbeatLossTest(self._parts()[0])
         return test
 
     def try_quick_stop(self) -> QuickStopTest:
@@ -377,8 +366,7 @@ class DriveGroup(Nodes):
             Its times and angles count from the SYNC that carries the quick stop.
         """
         self._require(self.enabled, "enable() first")
-        test = QuickStopTest(self._parts()[0])
-        self._test = test
+        self._test = test = QuickStopTest(self._parts()[0])
         return test
 
     def release(self, axis: int, limit_rad: float, disables_voltage: bool = False) -> BrakeTest:
@@ -396,8 +384,7 @@ class DriveGroup(Nodes):
         """
         self._require(self.enabled and 0 <= axis < len(self.drives), "enable() first, and name an axis that there is")
         self._require(self.is_at_rest, "bring the axes to rest first")
-        test = BrakeTest(self._parts()[0], axis, limit_rad, disables_voltage)
-        self._test = test
+        self._test = test = BrakeTest(self._parts()[0], axis, limit_rad, disables_voltage)
         return test
 
     @property
@@ -405,11 +392,6 @@ class DriveGroup(Nodes):
         """Return whether every axis was at rest at the last SYNCs."""
         exchange, _ = self._parts()
         return all(exchange.is_at_rest(axis) for axis in range(len(self.drives)))
-
-    def _last_beat(self) -> None:
-        """Send the last heartbeat, from which the drives measure their consumer time, and stop the producer."""
-        self.heartbeat.start(self.sync_index * self.timing.period_s)
-        self.heartbeat.stop()
 
     def _cycle(self) -> Epoch:
         words = (ENABLE_OPERATION,) * len(self.drives) if self._test is None else self._test.controlwords()
@@ -511,17 +493,18 @@ class DriveGroup(Nodes):
             raise_failures(failures + later)
 
     def _stand_down(self, unreached: list[DriveError]) -> list[DriveError]:
-        """Disarm the heartbeat consumers of the drives that respond, stop the heartbeat, leave OPERATIONAL.
+        """Disarm the heartbeat consumers of the disabled drives, stop the heartbeat, leave OPERATIONAL.
 
-        A failure here says nothing about the axes: whether they are disabled was read before.
+        A drive that was not confirmed to be disabled goes on watching for the heartbeat, so that it stops by itself. A
+        failure here says nothing about the axes: whether they are disabled was read before.
         """
-        not_responding = {error.node for error in unreached if isinstance(error, SdoTimeout)}
+        not_disabled = {error.node for error in unreached if isinstance(error, SdoTimeout | TransitionTimeout)}
         failures: list[DriveError] = []
         for drive in self.drives:
             try:
-                if drive.node_id not in not_responding:
+                if drive.node_id not in not_disabled:
                     drive.disarm()
-                    drive.note_rest()
+                    drive.rest_count = drive.access.read(drive.setup.profile.position.object)
             except DriveError as error:
                 failures.append(error)
             except Exception as error:
@@ -542,7 +525,7 @@ class DriveGroup(Nodes):
 
     def _to_preoperational(self) -> None:
         if self._watch is not None:
-            self._watch.left_operational()
+            self._watch.command(NmtState.PREOPERATIONAL)
         for node in self.all:
             send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
 

@@ -60,43 +60,40 @@ class HeartbeatProducer:
         Node id of the master.
     consumer_s : float
         Shortest heartbeat consumer time of the drives [s]; four heartbeats are sent in that time.
+    sync_time_s : callable
+        Time that the drives count by SYNCs [s].
     """
 
-    def __init__(self, bus: Bus, master_node_id: int, consumer_s: float) -> None:
+    def __init__(self, bus: Bus, master_node_id: int, consumer_s: float, sync_time_s: Callable[[], float]) -> None:
         self.running = False
         self._bus = bus
         self._frame = bus.prepare(HEARTBEAT_BASE + master_node_id, 1)
         self._frame.data[0] = NmtState.OPERATIONAL
         self._interval_s = consumer_s / 4.0
-        self._due_s = 0.0
-        self._sync_time_s = self._sync_time_due_s = 0.0
+        self._due_s = self._sync_time_due_s = 0.0
+        self._sync_time_s = sync_time_s
 
-    def start(self, sync_time_s: float) -> None:
+    def start(self) -> None:
         """Send the first heartbeat, from which on the drives monitor it."""
         if not self.running:
-            self._bus.add_chore(self._chore)
+            self._bus.add_chore(self.tick)
         self.running = True
-        self._beat(time.monotonic(), sync_time_s)
+        self._beat(time.monotonic(), self._sync_time_s())
 
     def stop(self) -> None:
         """Stop the heartbeat."""
         self.running = False
-        self._bus.remove_chore(self._chore)
+        self._bus.remove_chore(self.tick)
 
-    def tick(self, sync_time_s: float) -> None:
-        """Send a heartbeat if one is due; `sync_time_s` is the time that the drives count by SYNCs."""
-        now = time.monotonic()
-        self._sync_time_s = sync_time_s
-        if self.running and (sync_time_s >= self._sync_time_due_s or now >= self._due_s):
-            self._beat(now, sync_time_s)
-
-    def _chore(self) -> None:
-        self.tick(self._sync_time_s)
+    def tick(self) -> None:
+        """Send a heartbeat if one is due."""
+        now_s, sync_time_s = time.monotonic(), self._sync_time_s()
+        if self.running and (sync_time_s >= self._sync_time_due_s or now_s >= self._due_s):
+            self._beat(now_s, sync_time_s)
 
     def _beat(self, now_s: float, sync_time_s: float) -> None:
         self._bus.send_frame(self._frame)
-        self._due_s = now_s + self._interval_s
-        self._sync_time_s, self._sync_time_due_s = sync_time_s, sync_time_s + self._interval_s
+        self._due_s, self._sync_time_due_s = now_s + self._interval_s, sync_time_s + self._interval_s
 
 
 class HeartbeatWatch:
@@ -124,10 +121,10 @@ class HeartbeatWatch:
         self.states: dict[int, NmtState | None] = dict.fromkeys(node_ids)
         #: Nodes that booted since `forgive` was called.
         self.booted: set[int] = set()
-        #: Nodes whose heartbeat showed that they left OPERATIONAL since then.
-        self.left: set[int] = set()
-        #: Heartbeats in OPERATIONAL since the nodes were commanded to leave it; None = they may be in it.
-        self.started: Counter[int] | None = None
+        #: NMT state that the master has commanded last.
+        self.commanded = NmtState.OPERATIONAL
+        #: By node, heartbeats since then that contradict it: OPERATIONAL was left, or is shown again and again.
+        self.contrary: Counter[int] = Counter()
         self._limits_s = dict(zip(node_ids, limits_s, strict=True))
         self._last_s: dict[int, tuple[float, float]] = {}
         self._sync_time_s = sync_time_s or time.monotonic
@@ -146,26 +143,29 @@ class HeartbeatWatch:
             return
         node_id = can_id - HEARTBEAT_BASE
         state = _STATES.get(data[0] & 0x7F)
-        if self.states[node_id] is NmtState.OPERATIONAL and state in (NmtState.PREOPERATIONAL, NmtState.STOPPED):
-            self.left.add(node_id)
+        if self.commanded is not NmtState.OPERATIONAL:
+            is_contrary = state is NmtState.OPERATIONAL
+        else:
+            has_left = state in (NmtState.PREOPERATIONAL, NmtState.STOPPED)
+            is_contrary = has_left and self.states[node_id] is NmtState.OPERATIONAL
+        if is_contrary:
+            self.contrary[node_id] += 1
         self.states[node_id] = state
-        if self.started is not None and state is NmtState.OPERATIONAL:
-            self.started[node_id] += 1
         if state is NmtState.BOOT_UP:
             self.booted.add(node_id)
             self._last_s.pop(node_id, None)
         else:
             self._last_s[node_id] = (time.monotonic(), self._sync_time_s())
 
-    def left_operational(self) -> None:
-        """The nodes are commanded to leave OPERATIONAL: from now on their heartbeats in it are counted."""
-        self.started = Counter()
+    def command(self, state: NmtState) -> None:
+        """The nodes are commanded to this NMT state: count heartbeats that contradict it from now on."""
+        self.commanded = state
+        self.contrary.clear()
 
     def forgive(self) -> None:
-        """Clear boot-ups and state changes; every timer restarts at the next heartbeat."""
-        self.started = None
+        """Clear boot-ups, of nodes that are about to be started; every timer restarts at the next heartbeat."""
+        self.command(NmtState.OPERATIONAL)
         self.booted.clear()
-        self.left.clear()
         self._last_s.clear()
 
     def lost(self) -> tuple[int, ...]:

@@ -12,13 +12,13 @@ from typing import Final, Literal
 
 from drives.access import NodeAccess
 from drives.bus import Bus
-from drives.decode import Frames
 from drives.errors import ConfigurationRefused, IdentityMismatch
 from drives.ledger import WriteLedger
 from drives.objects import OBJECTS, RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from drives.other_pdos import OtherPdo
 from drives.pdo import PdoPlan, tpdo_plan
-from drives.profile_parts import ObjectReference
+from drives.profile import ObjectReference
+from drives.scaling import Frames
 from drives.values import Identity, InstrumentReading
 
 PROFILE_NUMBER: Final = 404
@@ -105,10 +105,6 @@ class Instrument:
         self.identity = Identity(setup.node_id)
         self._unpack = [plan.layout.unpack for plan in self.plans]
 
-    def close(self) -> None:
-        """Stop listening."""
-        self.access.sdo.close()
-
     @property
     def answers(self) -> tuple[tuple[int, int], ...]:
         """Return CAN id and length of each TPDO that follows a SYNC."""
@@ -124,24 +120,16 @@ class Instrument:
     def check_units(self) -> None:
         """Compare the unit of each channel with the cell; raises `ConfigurationRefused` or `SdoError`."""
         for subindex in self.setup.subindices:
-            self._check_unit(subindex)
-
-    def _check_unit(self, subindex: int) -> None:
-        unit = ObjectReference(index=UNIT, subindex=subindex, type="u32")
-        code = self.access.read_optional(unit)
-        digits = self.access.read_optional(ObjectReference(index=DIGITS, subindex=subindex, type="u8"))
-        if code is None:
-            return
-        prefix = (code >> 24 ^ 0x80) - 0x80
-        says = 10.0 ** (prefix - (digits or 0))
-        if code >> 16 & 0xFF != self.setup.unit or not math.isclose(says, self.setup.per_bit, rel_tol=1e-6):
-            raise ConfigurationRefused(
-                f"says unit {code:#010x} with {digits or 0} decimal digits, the cell {self.setup.per_bit:g} per bit",
-                node=self.node_id,
-                index=UNIT,
-                subindex=subindex,
-                advice="correct the cell, or set the unit of the device",
-            )
+            unit = ObjectReference(index=UNIT, subindex=subindex, type="u32")
+            code = self.access.read_optional(unit)
+            digits = self.access.read_optional(ObjectReference(index=DIGITS, subindex=subindex, type="u8")) or 0
+            if code is None:
+                continue
+            prefix = (code >> 24 ^ 0x80) - 0x80
+            per_bit = 10.0 ** (prefix - digits)
+            if code >> 16 & 0xFF != self.setup.unit or not math.isclose(per_bit, self.setup.per_bit, rel_tol=1e-6):
+                what = f"says unit {code:#010x} with {digits} decimal digits, the cell {self.setup.per_bit:g} per bit"
+                self.access.refuse(unit, what, "correct the cell, or set the unit of the device")
 
     def decode(self, sync_index: int, frames: Frames, first_slot: int) -> InstrumentReading | None:
         """Return the reading of one SYNC, or None if a frame of this device is missing."""

@@ -13,14 +13,13 @@ from typing import Final, NoReturn
 
 from drives.access import Entry
 from drives.bus import EMCY_BASE, SDO_ANSWER_BASE, SYNC_ID, Bus
-from drives.decode import Decoder, reading_decoder
 from drives.emcy import Emergency, parse_emergency
 from drives.epoch import Epoch
 from drives.errors import ConfigurationRefused
 from drives.objects import SIZE_BYTES, decode_integer
 from drives.pdo import COMMAND, rpdo_plans, tpdo_plans
-from drives.scaling import Constants, MotorScale, motor_scale, read_constants
-from drives.sdo_channel import EXPEDITED, SCS_UPLOAD, expedited_data
+from drives.scaling import Constants, Decoder, MotorScale, motor_scale, read_constants, reading_decoder
+from drives.sdo import EXPEDITED, SCS_UPLOAD, expedited_data
 from drives.values import AxisSetup, DriveReading
 
 #: Emergency messages that wait to be taken.

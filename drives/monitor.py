@@ -126,7 +126,7 @@ class Monitor:
 
     def forgive_cleared(self) -> None:
         """Every node has started: reset its recorded state, and drop emergencies that were reported as cleared."""
-        self.watch.left.clear()
+        self.watch.contrary.clear()
         new = self.emcy.count - self._emcy_seen
         if new and all(each.is_reset for each in {each.node_id: each for each in self.emcy.messages[-new:]}.values()):
             self._emcy_seen = self.emcy.count
@@ -178,7 +178,7 @@ class Monitor:
                     expected[axis] = good | FOLLOWS_COMMAND
         bus, watch = self._bus, self.watch
         has_counted = bus.foreign_count != self._foreign_seen or self.emcy.count != self._emcy_seen
-        if not is_regular or has_counted or watch.left or watch.booted or bus.bus_off:
+        if not is_regular or has_counted or watch.contrary or watch.booted or bus.bus_off:
             self._readings = epoch.readings
             self.check_rules("enabled")
         elif epoch.sync_index % _EVERY == 0:
@@ -192,7 +192,7 @@ class Monitor:
     # -- measures of the rules ---------------------------------------------------------------------------------------
 
     def _left_operational(self, rule: Rule) -> Counts:
-        for node in sorted(self.watch.left):
+        for node in sorted(self.watch.contrary):
             state = str(self.watch.states[node]).upper()
             yield 1, rule.raised(f"left OPERATIONAL: its heartbeat shows {state}", node=node)
 

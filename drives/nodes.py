@@ -82,7 +82,7 @@ class Nodes:
         self.timing = Timing(sync_period_s, pacing, self.options)
         consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
         #: Of the master.
-        self.heartbeat = HeartbeatProducer(bus, master_node_id, consumer_s)
+        self.heartbeat = HeartbeatProducer(bus, master_node_id, consumer_s, lambda: self.sync_index * sync_period_s)
         self.ledger = WriteLedger(self.options.ledger_path)
         self.emcy = EmcyLog({setup.node_id: setup.profile for setup in setups})
         self.drives: tuple[Cia402Drive, ...] = ()
@@ -90,12 +90,17 @@ class Nodes:
         self.failures_found: list[DriveError] = []
         self.taken_down: tuple[str, ...] = ()
 
+    @property
+    def sync_index(self) -> int:
+        """Return the number of the last SYNC; 0 before the exchange."""
+        return 0
+
     def close(self) -> None:
         """Stop listening to the nodes, which have to be found again."""
         self.emcy.close()
         self.heartbeat.stop()
         for node in self.all:
-            node.close()
+            node.access.sdo.close()
         self.drives, self.instruments, self.failures_found = (), (), []
 
     def __enter__(self) -> Self:

@@ -6,14 +6,15 @@ They would load the bus with unused frames, and a foreign frame in an RPDO can c
 from __future__ import annotations
 
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
 from drives.access import NodeAccess
-from drives.errors import ConfigurationRefused
+from drives.errors import ConfigurationRefused, SdoAbort
 from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION, TPDO_MAPPING
 from drives.pdo import CONTROLWORD, INVALID
-from drives.profile_parts import ObjectReference
+from drives.profile import ObjectReference
 
 #: Most PDOs of each direction (CiA 301); a device numbers its own in a row, so that it has no more after so many gaps.
 _PDOS: Final = 512
@@ -135,8 +136,10 @@ def switch_off(access: NodeAccess, pdo: OtherPdo) -> bool:
         A transfer failed.
     """
     reason = f"{pdo.name} is not used by the gateway"
-    if pdo.may_be_switched_off and access.write_if_taken(_u32(pdo.communication, 1), pdo.cob_id | INVALID, reason):
-        return True
+    if pdo.may_be_switched_off:
+        with suppress(SdoAbort):  # the node refuses the value
+            access.write(_u32(pdo.communication, 1), pdo.cob_id | INVALID, reason)
+            return True
     if pdo.carries_controlword:
         sender = f"the sender of id {pdo.cob_id & 0x7FF:03X}"
         raise ConfigurationRefused(

@@ -5,46 +5,359 @@ Every constant carries its source. A constant that is missing is an error: nothi
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION, TPDO_MAPPING
-from drives.profile_parts import (
-    NEEDED_WRITES,
-    Constant,
-    CountsFromObjects,
-    EmcyEntry,
-    ExpectedIdentity,
-    Feedforward,
-    Heartbeat,
-    ObjectReference,
-    Position,
-    Rated,
-    Reference,
-    SafetyCondition,
-    SdoTimes,
-    Signal,
-    Source,
-    StateMachine,
-    Temperature,
-    TorqueOffsetWord,
-    Velocity,
-    Write,
-    is_assumed,
-)
+from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, SIZE_BYTES, TPDO_COMMUNICATION, TPDO_MAPPING, DataType
 from drives.validation import Strict
 
-__all__ = [
-    "Constant",
-    "CountsFromObjects",
-    "DriveProfile",
-    "ObjectReference",
-    "Rated",
-    "Signal",
-    "TorqueOffsetWord",
-]
+Source = Annotated[str, Field(min_length=1, description="source of the number: datasheet page, read, assumed")]
+#: What an arithmetic rests upon.
+Basis = Literal["standard", "manual", "measured", "code", "assumed"]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+#: Objects that no profile may allow: storing and restoring parameters is never the master's business.
+_FORBIDDEN_WRITES = {0x1010: "storing parameters", 0x1011: "restoring factory parameters"}
+#: Objects that the master writes on every drive.
+NEEDED_WRITES = (
+    0x1016,
+    RPDO_COMMUNICATION,
+    RPDO_MAPPING,
+    TPDO_COMMUNICATION,
+    TPDO_MAPPING,
+    0x6007,
+    0x6040,
+    0x6060,
+    0x607A,
+    0x60B2,
+)
+
+
+def is_assumed(source: str) -> bool:
+    """Return whether a source is stated as assumed."""
+    return source.strip().lower().startswith("assumed")
+
+
+class Constant(Strict):
+    """A number and its source."""
+
+    value: Positive = Field(description="in the unit of the key")
+    source: Source
+
+
+class ObjectReference(Strict):
+    """An object that is read, written or mapped."""
+
+    index: int = Field(ge=0x1000, le=0xFFFF, description="of the object dictionary, such as 0x6077")
+    subindex: int = Field(default=0, ge=0, le=0xFF, description="of that object")
+    type: DataType = Field(description="of its value; a PDO entry is as long")
+
+    @property
+    def size_bits(self) -> int:
+        """Length in a PDO."""
+        return 8 * SIZE_BYTES[self.type]
+
+    @property
+    def mapping(self) -> int:
+        """Value of a PDO mapping entry: index, subindex, length (CiA 301, 7.5.2.36)."""
+        return self.index << 16 | self.subindex << 8 | self.size_bits
+
+
+class ExpectedIdentity(Strict):
+    """Expected content of 0x1018; a key that is not given matches anything."""
+
+    vendor_id: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="0x1018:01")
+    product_code: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="0x1018:02")
+    revision_min: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="lowest 0x1018:03 that is known")
+    revision_max: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="highest 0x1018:03 that is known")
+
+
+class Rated(Strict):
+    """Rated torque (Nm) or rated current (A): read from the drive, or given."""
+
+    object: ObjectReference | None = Field(default=None, description="read from here; either this or `value`")
+    unit: Positive | None = Field(default=None, description="Nm or A per least significant bit of `object`")
+    value: Positive | None = Field(default=None, description="Nm or A")
+    source: Source
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Rated:
+        if (self.object is None) == (self.value is None):
+            raise ValueError("give either object and unit (read from the drive), or value")
+        if (self.object is None) != (self.unit is None):
+            raise ValueError("object and unit belong together: without the unit the number means nothing")
+        return self
+
+
+class Signal(Strict):
+    """A torque or current object and its arithmetic."""
+
+    kind: Literal["permille_rated_torque", "permille_rated_current", "milliampere", "internal_unit"] = Field(
+        description="what one bit is"
+    )
+    object: ObjectReference = Field(description="where the value is")
+    nature: Literal["measured", "demand", "unknown"] = Field(description="only `measured` is used for estimation")
+    signed: bool = Field(description="must fit the object's type")
+    filter_s: float = Field(ge=0, description="time constant of the drive's own filter on this value")
+    source: Source
+    basis: Basis | None = Field(
+        default=None,
+        description="what the arithmetic rests upon: CiA 402, the maker's manual, a trial on the drive, public code, "
+        "or nothing: `assumed` is read and not moved. Absent: it is assumed where `source` begins with that word",
+    )
+    rated: Rated | None = Field(default=None, description="what 1000 per mille stand for")
+    internal_unit_a: Constant | None = Field(default=None, description="ampere per unit, kind internal_unit")
+    current_reference: Literal["rms", "peak"] | None = Field(default=None, description="what the drive's ampere is")
+    torque_constant_per: Literal["rms", "peak"] | None = Field(
+        default=None, description="which ampere the torque constant of the cell file refers to"
+    )
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the object is a current, so that the torque constant is needed."""
+        return self.kind != "permille_rated_torque"
+
+    @property
+    def assumed(self) -> bool:
+        """Return whether the value of one bit is assumed."""
+        if self.basis is not None:
+            return self.basis == "assumed"
+        parts = (self.rated, self.internal_unit_a)
+        return is_assumed(self.source) or any(part is not None and is_assumed(part.source) for part in parts)
+
+    @property
+    def current_factor(self) -> float:
+        """Ampere of the torque constant per ampere of the drive: 1, sqrt(2) or 1/sqrt(2)."""
+        if self.current_reference == self.torque_constant_per:
+            return 1.0
+        return math.sqrt(2.0) if self.current_reference == "rms" else math.sqrt(0.5)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Signal:
+        if self.kind.startswith("permille") and self.rated is None and not self.assumed:
+            raise ValueError(f"kind {self.kind} needs [..rated]: the value that 1000 per mille stands for")
+        if (self.kind == "internal_unit") != (self.internal_unit_a is not None) and not self.assumed:
+            raise ValueError("internal_unit_a belongs to kind internal_unit, and is needed there")
+        references = (self.current_reference, self.torque_constant_per)
+        if self.is_current and None in references and not self.assumed:
+            raise ValueError("a current needs current_reference and torque_constant_per (rms or peak)")
+        if self.signed != self.object.type.startswith("i"):
+            raise ValueError(f"signed = {self.signed} does not fit the object type {self.object.type}")
+        return self
+
+
+class TorqueOffsetWord(Strict):
+    """Arithmetic of 0x60B2 where it differs from that of the measured torque."""
+
+    kind: Literal["permille_rated_torque", "permille_rated_current"] = Field(description="what one bit of 0x60B2 is")
+    rated: Rated = Field(description="what 1000 per mille stand for")
+    current_reference: Literal["rms", "peak"] | None = Field(default=None, description="what the drive's ampere is")
+    torque_constant_per: Literal["rms", "peak"] | None = Field(
+        default=None, description="which ampere the torque constant of the cell file refers to"
+    )
+    source: Source
+
+    @model_validator(mode="after")
+    def _complete(self) -> TorqueOffsetWord:
+        references = (self.current_reference, self.torque_constant_per)
+        if self.kind == "permille_rated_current" and None in references:
+            raise ValueError("a current needs current_reference and torque_constant_per (rms or peak)")
+        return self
+
+
+class Share(Strict):
+    """A fraction and its source."""
+
+    value: float = Field(ge=0, le=1, allow_inf_nan=False, description="0 to 1")
+    source: Source
+
+
+class Feedforward(Strict):
+    """What the drive takes beside the position: velocity offset 0x60B1 (in units of [velocity]), torque offset 0x60B2.
+
+    `velocity_share` is the part of the commanded velocity that the drive's own loops feed forward: the master adds only
+    the rest.
+    """
+
+    velocity_share: Share = Field(description="part of the commanded velocity that the drive feeds forward itself")
+    source: Source
+
+
+class Velocity(Strict):
+    """The velocity object, motor side."""
+
+    object: ObjectReference = Field(description="where the value is")
+    unit_rad_s: Constant | None = Field(default=None, description="speed of the motor that one bit means")
+    unit_counts_s: Constant | None = Field(
+        default=None, description="instead of it: position counts per second that one bit means"
+    )
+    ramp_counts_s2: Constant | None = Field(
+        default=None,
+        description="counts/s2 that one bit of 0x6084 and 0x6085 means; absent: the velocity's unit per second",
+    )
+
+    def rad_s(self, counts_per_revolution: float | None) -> float | None:
+        """Speed of the motor that one bit means [rad/s]; None where that needs the counts of a revolution."""
+        if self.unit_rad_s is not None:
+            return self.unit_rad_s.value
+        return _turned_rad(self.unit_counts_s, counts_per_revolution)
+
+    def ramp_rad_s2(self, counts_per_revolution: float | None) -> float | None:
+        """Deceleration of the motor that one bit means [rad/s2]; None where that needs the counts of a revolution."""
+        if self.ramp_counts_s2 is None:
+            return self.rad_s(counts_per_revolution)
+        return _turned_rad(self.ramp_counts_s2, counts_per_revolution)
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> Velocity:
+        if (self.unit_rad_s is None) == (self.unit_counts_s is None):
+            raise ValueError("give either unit_rad_s or unit_counts_s")
+        return self
+
+
+class Temperature(Strict):
+    """The temperature object. It is read now and then while the arm is measured, and never needed."""
+
+    object: ObjectReference = Field(description="where the value is")
+    unit_c: Constant = Field(description="degrees Celsius that one bit means")
+    of: Literal["motor", "drive"] = Field(description="where the sensor is: motor winding or power stage")
+
+
+def _turned_rad(counts: Constant | None, counts_per_revolution: float | None) -> float | None:
+    if counts is None or not counts_per_revolution:
+        return None
+    return counts.value * 2.0 * math.pi / counts_per_revolution
+
+
+class CountsFromObjects(Strict):
+    """Encoder resolution read from the drive: object / per."""
+
+    object: ObjectReference = Field(description="counts, such as 0x608F:01")
+    per: ObjectReference | None = Field(
+        default=None, description="in so many motor revolutions, such as 0x608F:02; absent: in one"
+    )
+
+
+class Position(Strict):
+    """The position object and the counts of one motor revolution."""
+
+    object: ObjectReference = Field(
+        default=ObjectReference(index=0x6064, type="i32"), description="actual position; 0x6064 if absent"
+    )
+    counts_per_revolution: CountsFromObjects | Constant = Field(
+        description="of the motor: read from the drive, or given"
+    )
+
+    @model_validator(mode="after")
+    def _standard_object(self) -> Position:
+        if self.object.type != "i32":
+            raise ValueError("the position object must be of type i32, as the target position 0x607A is")
+        return self
+
+
+class StateMachine(Strict):
+    """Times and behaviour of the CiA 402 state machine."""
+
+    transition_timeout_s: Positive = Field(description="longest wait for a change of state")
+    mode_before_enable: bool = Field(
+        default=True, description="the mode of operation is set before the drive is enabled"
+    )
+    brake_delay_s: float = Field(
+        default=0.0, ge=0, description="time from operation enabled until the brake has opened"
+    )
+    brake_closing_s: float = Field(
+        default=0.1,
+        ge=0,
+        le=2,
+        description="time from the end of operation enabled until the brake has closed; until then the axis stays in "
+        "SWITCHED ON, and the voltage is not disabled",
+    )
+
+
+class SdoTimes(Strict):
+    """How long an answer may take."""
+
+    timeout_s: Positive = Field(description="of an answer")
+    slow_timeout_s: Positive = Field(description="of the answer to a value that is put back")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> SdoTimes:
+        if self.slow_timeout_s < self.timeout_s:
+            raise ValueError("slow_timeout_s must not be shorter than timeout_s")
+        return self
+
+
+class Heartbeat(Strict):
+    """How the drive watches the master (0x1016, 0x6007), and how the master watches the drive (0x1017)."""
+
+    consumer_ms: int = Field(
+        ge=10, le=65535, description="0x1016: after this time without heartbeat the drive treats the master as lost"
+    )
+    abort_connection: Literal[2, 3] = Field(
+        description="0x6007: 3 quick stop; a drive with 2, disable voltage, is read and not moved"
+    )
+    producer_ms: int | None = Field(default=None, ge=10, le=65535, description="0x1017, left alone if absent")
+
+
+class Write(Strict):
+    """Every object that the master may write."""
+
+    allow: tuple[Annotated[int, Field(ge=0x1000, le=0xFFFF)], ...] = Field(description="indices; no other is written")
+
+    @model_validator(mode="after")
+    def _safe(self) -> Write:
+        for index, meaning in _FORBIDDEN_WRITES.items():
+            if index in self.allow:
+                raise ValueError(f"allow must not hold 0x{index:04X}: {meaning} is left to the engineer")
+        return self
+
+
+class Condition(Strict):
+    """A state of the drive that must hold for motion: the bits of `mask` in the object's value are those of `good`."""
+
+    object: ObjectReference = Field(description="where the state is shown")
+    mask: int = Field(gt=0, le=0xFFFFFFFF, description="which bits of the value are looked at")
+    good: int = Field(ge=0, le=0xFFFFFFFF, description="what these bits are when all is well")
+    source: Source | None = Field(default=None, description="where it comes from: manual and page")
+
+    def holds(self, value: int) -> bool:
+        """Return whether a value of the object satisfies the condition."""
+        return value & self.mask == self.good
+
+    def describe(self, value: int) -> str:
+        """Describe a value, for a message."""
+        where = f"{self.object.index:04X}:{self.object.subindex:02X}"
+        return f"{where} & {self.mask:#x} is {value & self.mask:#x} instead of {self.good:#x}"
+
+    @model_validator(mode="after")
+    def _inside(self) -> Condition:
+        if self.good & ~self.mask:
+            raise ValueError(f"good = {self.good:#x} has bits that mask = {self.mask:#x} does not look at")
+        if self.mask >> self.object.size_bits:
+            raise ValueError(f"mask = {self.mask:#x} is wider than the object of {self.object.size_bits} bits")
+        return self
+
+
+class SafetyCondition(Condition):
+    """A condition of the safety chain, e.g. emergency stop released, safe torque off not active."""
+
+    what: Annotated[str, Field(min_length=1, description="what does not hold, e.g. STO or emergency stop")]
+
+
+class Reference(Condition):
+    """How the drive reports whether its encoder is referenced."""
+
+
+class EmcyEntry(Strict):
+    """What an emergency code means on this drive."""
+
+    code: int = Field(ge=0, le=0xFFFF, description="as the emergency message carries it")
+    text: str = Field(description="what it means")
+    advice: str = Field(description="what to do")
+
 
 #: And beside them in a run with feedforward.
 _FEEDFORWARD_WRITES = (RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x60B1)

@@ -11,7 +11,8 @@ therefore checked at every SYNC of a test too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -22,18 +23,16 @@ from drives.cia402 import (
     State,
     decode_state,
     disabling_controlword,
-    next_controlword,
+    enabling_controlword,
     stopping_controlword,
 )
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
 from drives.errors import DriveError, DriveFault, TransitionTimeout
 from drives.exchange import SyncExchange
-from drives.objects import OBJECTS
 from drives.sdo import ONCE
-from drives.standstill import Standstill
-from drives.stopping import PATIENCE_S, RAMP_S
-from drives.values import DriveReading
+from drives.standstill import BRAKE_WATCH_S, BrakeDrop, Standstill
+from drives.stopping import DOWN, PATIENCE_S, RAMP_S
 
 #: SYNCs without an answer after which an axis is asked by SDO: a drive may leave NMT state OPERATIONAL (0x1029).
 _SILENT: Final = 2
@@ -122,14 +121,10 @@ class _Axis:
         self.enabled_s = 0.0
         self.left_s: float | None = None
         self._standstill = Standstill(drive.scale.revolutions(1.0))
-        self._stood = False
+        #: The axis has left OPERATION ENABLED and is at rest.
+        self.stood = False
         self._counts: list[int] = []
         self._at_leaving = 0
-
-    @property
-    def done(self) -> bool:
-        """Return whether the axis has left OPERATION ENABLED and is at rest."""
-        return self._stood
 
     def see(self, time_s: float, state: State, count: int) -> None:
         """Process one reading."""
@@ -141,16 +136,7 @@ class _Axis:
             self._at_leaving = len(self._counts) - 1
         elif self.left_s is None:
             self.left_s = time_s
-        self._stood |= self.left_s is not None and self._standstill.at_rest(self.left_s)
-
-    def ask(self, time_s: float) -> None:
-        """Read statusword and position by SDO instead, and process them."""
-        access = self.drive.access
-        try:
-            state = decode_state(access.read(OBJECTS["statusword"], ONCE))
-            self.see(time_s, state, access.read(self.drive.setup.profile.position.object, ONCE))
-        except DriveError:
-            return
+        self.stood |= self.left_s is not None and self._standstill.at_rest(self.left_s)
 
     def trace(self) -> StopTrace:
         """Return the result of this drive."""
@@ -168,7 +154,7 @@ class _Axis:
             state=self.state,
             moved_rad=abs(rad) * moved,
             coast_rad=abs(rad) * coast,
-            stood=self.done,
+            stood=self.stood,
             rest_s=self._standstill.moving_s,
         )
 
@@ -190,6 +176,8 @@ class StopTest:
     """
 
     guards = False
+    #: A drive that leaves several SYNCs unanswered is read by SDO; else `_over` ends the test.
+    _reads_by_sdo = True
 
     def __init__(self, exchange: SyncExchange, stated_s: Sequence[float]) -> None:
         self.done = False
@@ -224,9 +212,11 @@ class StopTest:
         for axis, reading, silent in zip(self._axes, epoch.readings, self._exchange.unanswered, strict=True):
             if reading is not None:
                 axis.see(passed_s, decode_state(reading.statusword), reading.position_count)
-            elif silent >= _SILENT:
-                self._without_answer(axis, passed_s)
-        self.done = all(axis.done for axis in self._axes) or self._over(passed_s)
+            elif silent >= _SILENT and self._reads_by_sdo:
+                with suppress(DriveError):
+                    status, count, _ = axis.drive.read_axis(ONCE)
+                    axis.see(passed_s, decode_state(status), count)
+        self.done = all(axis.stood for axis in self._axes) or self._over(passed_s)
 
     def traces(self) -> tuple[StopTrace, ...]:
         """Return the result of each axis."""
@@ -235,10 +225,6 @@ class StopTest:
     def _stops(self, axis: _Axis) -> bool:
         """Return whether an axis is commanded to stop."""
         return self.done and axis.left_s is None
-
-    def _without_answer(self, axis: _Axis, passed_s: float) -> None:
-        """Handle an axis that has not responded to several SYNCs."""
-        axis.ask(passed_s)
 
     def _over(self, passed_s: float) -> bool:
         """Return whether the time limit has passed."""
@@ -254,22 +240,21 @@ class HeartbeatLossTest(StopTest):
     Parameters
     ----------
     exchange : SyncExchange
-        All drives enabled.
-    last_beat : callable
-        Sends the last heartbeat; called before the first SYNC of the test.
+        All drives enabled; the last heartbeat is sent before the first SYNC of the test.
     """
 
-    def __init__(self, exchange: SyncExchange, last_beat: Callable[[], None]) -> None:
-        self._last_beat: Callable[[], None] | None = last_beat
+    def __init__(self, exchange: SyncExchange) -> None:
+        self._is_withheld = False
         period_s = exchange.timing.period_s
         drives = exchange.drives
         super().__init__(exchange, [drive.setup.profile.heartbeat.consumer_ms / 1000.0 + period_s for drive in drives])
 
     def controlwords(self) -> list[int]:
         """As `DriveTest.controlwords`."""
-        if self._last_beat is not None:
-            self._last_beat()
-            self._last_beat = None
+        if not self._is_withheld:
+            self._exchange.heartbeat.start()  # the last one, from which the drives measure their consumer time
+            self._exchange.heartbeat.stop()
+            self._is_withheld = True
         return super().controlwords()
 
 
@@ -282,6 +267,8 @@ class QuickStopTest(StopTest):
         All drives enabled.
     """
 
+    _reads_by_sdo = False
+
     def __init__(self, exchange: SyncExchange) -> None:
         super().__init__(exchange, [2.0 * exchange.timing.period_s] * len(exchange.drives))
         for axis, count in zip(self._axes, exchange.position_count, strict=True):
@@ -291,13 +278,10 @@ class QuickStopTest(StopTest):
     def _stops(self, axis: _Axis) -> bool:
         return axis.left_s is None
 
-    def _without_answer(self, axis: _Axis, passed_s: float) -> None:
-        """`_over` ends the test."""
-
     def _over(self, passed_s: float) -> bool:
         unmoved = passed_s >= PATIENCE_S and any(axis.left_s is None for axis in self._axes)
         if unmoved or max(self._exchange.unanswered) > _SILENT:
-            self._exchange.end_heartbeat()
+            self._exchange.heartbeat.stop()
             return True
         return passed_s >= RAMP_S + PATIENCE_S
 
@@ -317,7 +301,7 @@ class BrakeTest:
     limit_rad : float
         Largest motor angle that the axis may move.
     disables_voltage : bool
-        After the brake's closing time the axis goes on to SWITCH ON DISABLED.
+        After the brake's closing time the axis goes on to a state without voltage.
 
     Attributes
     ----------
@@ -340,17 +324,22 @@ class BrakeTest:
         self._limit_count = limit_rad / abs(drive.scale.count_rad)
         self._closing = math.ceil(machine.brake_closing_s / period_s) if disables_voltage else None
         self._patience = math.ceil(machine.transition_timeout_s / period_s)
+        self._off_syncs = math.ceil(BRAKE_WATCH_S / period_s) if disables_voltage else 0
         self._waited = 0
         self._enables = False
         self._enable_syncs, self._rung = 0, -1
-        self._held_count = exchange.position_count[axis] or 0
         self._target = drive.target_count
-        self._moved_count = self._most_count = self._farthest_count = 0
+        self._drop, self._most_count = BrakeDrop(exchange.position_count[axis]), 0
 
     @property
     def excused(self) -> frozenset[int]:
         """As `DriveTest.excused`."""
         return frozenset() if self.held else frozenset({self._axis})
+
+    @property
+    def is_watched(self) -> bool:
+        """Return whether the brake held the axis without voltage for `BRAKE_WATCH_S`, where that was to be disabled."""
+        return self._drop.off_syncs >= self._off_syncs
 
     @property
     def moved_rad(self) -> float:
@@ -360,7 +349,7 @@ class BrakeTest:
     @property
     def farthest_rad(self) -> float:
         """Return the largest motor angle from the last held position until the drive holds the axis again [rad]."""
-        return self._farthest_count * abs(self._drive.scale.count_rad)
+        return self._drop.most_count * abs(self._drive.scale.count_rad)
 
     def enable_again(self) -> None:
         """Enable the drive again, which then holds the axis at its present position."""
@@ -383,7 +372,7 @@ class BrakeTest:
             self._rung = max(_LADDER.index(state), min(self._rung + 1, len(_LADDER) - 1))
             state = _LADDER[self._rung]
         try:
-            word = next_controlword(state, State.OPERATION_ENABLED)
+            word = enabling_controlword(state)
         except NoRoute as error:
             what = f"cannot be enabled again after the brake test: {error}"
             advice = "use the emergency stop if the axis falls; then check the drive and its brake"
@@ -406,16 +395,23 @@ class BrakeTest:
         reading = epoch.readings[self._axis]
         if reading is None or self.held:
             return
-        enabled = decode_state(reading.statusword) is State.OPERATION_ENABLED
-        if enabled and self.released_syncs == 0 and not self._enables:
-            self._held_count = reading.position_count
+        state, before = decode_state(reading.statusword), self._drop.moved_count
+        enabled = state is State.OPERATION_ENABLED
+        is_held = enabled and self.released_syncs == 0 and not self._enables
+        self._drop.see(reading.position_count, is_held=is_held, is_off=state in DOWN)
+        if is_held:
             self._wait(f"stays in {State.OPERATION_ENABLED} although it was commanded to disable")
             return
-        self._moves(reading)
         if not self._enables:
-            self._waited = 0
+            moved, self._most_count = self._drop.moved_count, self._drop.most_count
+            self.beyond_limit = self._enables = moved + max(moved - before, 0) > self._limit_count
+        if not self._enables:
             self.released_syncs += 1
             self._target = reading.position_count
+            if self._closing is not None and self.released_syncs > self._closing and not self._drop.off_syncs:
+                self._wait(f"stays in {state} although its voltage was to be disabled")
+            else:
+                self._waited = 0
         elif enabled:
             self.held = self._exchange.is_at_rest(self._axis)
             self._wait("does not come to rest after the brake test")
@@ -423,16 +419,6 @@ class BrakeTest:
             if not 0 < self._enable_syncs <= _ENABLE_SYNCS:
                 self._target = reading.position_count
             self._wait("was commanded to hold its axis again after the brake test, and is not enabled")
-
-    def _moves(self, reading: DriveReading) -> None:
-        """Return the largest angle [rad], and whether it exceeds the limit now or will at the next SYNC."""
-        before = self._moved_count
-        self._moved_count = moved = abs(reading.position_count - self._held_count)
-        self._farthest_count = max(self._farthest_count, moved)
-        if not self._enables:
-            self._most_count = self._farthest_count
-        if not self._enables and moved + max(moved - before, 0) > self._limit_count:
-            self.beyond_limit = self._enables = True
 
     def _wait(self, what: str) -> None:
         self._waited += 1

@@ -1,4 +1,4 @@
-"""Whether an axis is at rest, from the positions that its drive reports by PDO or SDO."""
+"""Whether an axis is at rest, and how far it sinks in its brake, from the positions that its drive reports."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ _STILL_SHARE: Final = 0.2
 _LEAST_SHARE, _LEAST_COUNTS = 0.1, 4.0
 #: Rounding of a sum of SYNC periods [s].
 _TIME_TOLERANCE_S: Final = 1e-9
+#: A brake holds where its axis did not sink in this time with the voltage off [s].
+BRAKE_WATCH_S: Final = 0.3
 
 
 class Standstill:
@@ -57,3 +59,32 @@ class Standstill:
     def at_rest(self, since_s: float = -math.inf) -> bool:
         """Return whether the axis is at rest, by positions from a moment on [s]."""
         return self._seen_s - max(self.moving_s, since_s) >= STILL_S - _TIME_TOLERANCE_S
+
+
+class BrakeDrop:
+    """Movement of one axis since its drive last held it: how far it sank in its brake.
+
+    Parameters
+    ----------
+    held_count : int or None
+        Position at which the drive holds the axis [counts]; None = the first one that is seen.
+
+    Attributes
+    ----------
+    moved_count, most_count : int
+        Distance from the last held position, now and at most [counts].
+    off_syncs : int
+        SYNCs at which the axis was seen with the voltage off.
+    """
+
+    def __init__(self, held_count: int | None) -> None:
+        self.moved_count = self.most_count = self.off_syncs = 0
+        self._held_count = held_count
+
+    def see(self, count: int, *, is_held: bool, is_off: bool) -> None:
+        """Process a position [counts], whether the drive holds the axis there, and whether the voltage is off."""
+        if is_held or self._held_count is None:
+            self._held_count = count
+        self.moved_count = abs(count - self._held_count)
+        self.most_count = max(self.most_count, self.moved_count)
+        self.off_syncs += is_off

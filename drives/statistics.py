@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drives.busload import load_percent
 from drives.emcy import Emergency
-from drives.epoch import EpochCounts
 from drives.exchange import SyncExchange
 from drives.latency import SdoStatistics
 from drives.nodes import Nodes
@@ -70,7 +70,7 @@ class GroupStatistics:
 
 def group_statistics(nodes: Nodes, exchange: SyncExchange | None) -> GroupStatistics:
     """Return the counters of a group; counters of the exchange are zero before it exists."""
-    counts = EpochCounts() if exchange is None else exchange.collector.counts
+    counts: Counter[str] = Counter() if exchange is None else exchange.collector.counts
     bus, emcy, bitrate = nodes.bus, nodes.emcy, nodes.bus.spec.bitrate_bit_s
     planned, measured, lateness, overruns = 0.0, None, (), 0
     if exchange is not None:
@@ -82,11 +82,11 @@ def group_statistics(nodes: Nodes, exchange: SyncExchange | None) -> GroupStatis
     return GroupStatistics(
         cycles=0 if exchange is None else exchange.cycles,
         incomplete=0 if exchange is None else exchange.incomplete,
-        late=counts.late,
-        duplicate=counts.duplicate,
-        ambiguous=counts.ambiguous,
-        wrong_length=counts.wrong_length,
-        unsure=counts.unsure,
+        late=counts["late"],
+        duplicate=counts["duplicate"],
+        ambiguous=counts["ambiguous"],
+        wrong_length=counts["wrong_length"],
+        unsure=counts["unsure"],
         overruns=overruns,
         warnings=0 if exchange is None else exchange.warnings,
         foreign=dict(bus.foreign),

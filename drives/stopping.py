@@ -1,8 +1,8 @@
 """Quick stop and disable. No controlword of this module energises an axis or resets a fault.
 
 A drive is disabled only at rest: a holding brake must not stop a moving axis. Standstill is read from the drive, by
-SYNC or, where SYNC does not work, by SDO. An axis that answers SYNC and does not slow down in its quick stop is
-disabled although it moves. An unconfirmed command (no answer, OPERATION ENABLED not left, axis not at rest) ends the
+SYNC or, where SYNC does not work, by SDO. An axis that does not come to rest stays in its quick stop, and the error
+names the emergency stop. An unconfirmed command (no answer, OPERATION ENABLED not left, axis not at rest) ends the
 master's heartbeat at once, so that the drives stop themselves.
 
 No error ends the sequence: an exception of one axis or SYNC is stored as a failure, the heartbeat ends, and the other
@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 from drives.cia402 import AT_REST, State, decode_state, disabling_controlword, stopping_controlword
@@ -25,7 +24,7 @@ from drives.exchange import SyncExchange
 from drives.objects import OBJECTS
 from drives.scaling import read_resolution
 from drives.sdo import ONCE
-from drives.standstill import Standstill
+from drives.standstill import BRAKE_WATCH_S, BrakeDrop, Standstill
 
 #: SYNCs without an answer after which an axis is queried by SDO instead.
 _SILENT: Final = 3
@@ -38,8 +37,7 @@ _SLOWING_STEP_S: Final = 0.25
 _SLOWING_SHARE: Final = 0.99
 #: What an axis is given beyond the time that a step should take, until the step counts as not confirmed.
 PATIENCE_S: Final = 0.2
-#: Time for which positions are monitored after the brakes have closed; by SYNCs, and at most by wall clock.
-_DROP_WATCH_S: Final = 0.3
+#: Longest time by wall clock for which positions are monitored after the brakes have closed, `BRAKE_WATCH_S` by SYNCs.
 _DROP_WATCH_MAX_S: Final = 1.0
 #: Where only SDO is left: time between two readings [s], and the velocity that a drive may report at rest [rad/s].
 _SDO_PAUSE_S: Final = 0.02
@@ -47,68 +45,11 @@ _SDO_STILL_RAD_S: Final = 1.5
 #: Controlwords that lead from OPERATION ENABLED to SWITCH ON DISABLED, and one to spare.
 _SDO_WORDS: Final = 4
 _EMERGENCY: Final = "use the emergency stop; then check the drive"
-_DOWN: Final = frozenset({State.SWITCH_ON_DISABLED, State.NOT_READY, State.FAULT})
-_STOPPED: Final = _DOWN | {State.QUICK_STOP_ACTIVE, State.READY_TO_SWITCH_ON, State.SWITCHED_ON}
+#: States without voltage, in which an axis is in its brake.
+DOWN: Final = frozenset({State.SWITCH_ON_DISABLED, State.NOT_READY, State.FAULT})
+_STOPPED: Final = DOWN | {State.QUICK_STOP_ACTIVE, State.READY_TO_SWITCH_ON, State.SWITCHED_ON}
 #: States in which the drive itself holds or brakes the axis.
 _HELD: Final = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE})
-
-
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """One step of the stop sequence.
-
-    Attributes
-    ----------
-    word : callable
-        Controlword by axis and state.
-    disables : bool
-        The step ends in SWITCH ON DISABLED.
-    done : callable
-        Whether an axis has done it.
-    leave_s : float
-        How long an axis may stay in OPERATION ENABLED.
-    limit_s : float
-        Time limit of the step.
-    reached : frozenset of State
-        States that confirm the step when read by SDO.
-    """
-
-    word: Callable[[int, State], int]
-    disables: bool
-    done: Callable[[int], bool]
-    leave_s: float
-    limit_s: float
-    reached: frozenset[State]
-
-
-class _BrakeDrop:
-    """Measurement of the largest movement of each axis from its last held position.
-
-    Parameters
-    ----------
-    exchange : SyncExchange
-    """
-
-    def __init__(self, exchange: SyncExchange) -> None:
-        self._exchange = exchange
-        self._held_count = list(exchange.position_count)
-        self._most_count = [0] * len(exchange.drives)
-
-    def note(self, epoch: Epoch) -> None:
-        """Process the readings of one SYNC."""
-        for axis, reading in enumerate(epoch.readings):
-            if reading is None:
-                continue
-            held = self._held_count[axis]
-            if held is None or decode_state(reading.statusword) in _HELD:
-                self._held_count[axis] = reading.position_count
-            else:
-                self._most_count[axis] = max(self._most_count[axis], abs(reading.position_count - held))
-
-    def rad(self) -> tuple[float, ...]:
-        """Return the largest movement of each axis, motor side."""
-        drives = self._exchange.drives
-        return tuple(count * abs(drive.scale.count_rad) for drive, count in zip(drives, self._most_count, strict=True))
 
 
 def _closing_s(drive: Cia402Drive) -> float:
@@ -127,10 +68,7 @@ def quick_stop(exchange: SyncExchange) -> list[DriveError]:
     def done(axis: int) -> bool:
         return exchange.states[axis] in _STOPPED and exchange.is_at_rest(axis)
 
-    step = _Step(
-        lambda _axis, state: stopping_controlword(state), False, done, PATIENCE_S, RAMP_S + PATIENCE_S, _STOPPED
-    )
-    return _run(exchange, step, lambda epoch: None)
+    return _run(exchange, _stopping_word, done, RAMP_S + PATIENCE_S)
 
 
 def _wait_while_slowing(exchange: SyncExchange) -> list[DriveError]:
@@ -147,14 +85,16 @@ def _wait_while_slowing(exchange: SyncExchange) -> list[DriveError]:
 
     if all(map(done, range(len(exchange.drives)))):
         return []
-    step = _Step(lambda _axis, state: stopping_controlword(state), False, done, PATIENCE_S, _SLOWING_S, _STOPPED)
-    return _run(exchange, step, lambda _epoch: history.append(list(exchange.position_count)))
+    return _run(
+        exchange, _stopping_word, done, _SLOWING_S, note=lambda _epoch: history.append(list(exchange.position_count))
+    )
 
 
 def disable(exchange: SyncExchange) -> list[DriveError]:
     """Bring every axis to SWITCH ON DISABLED, moving axes by their quick stop ramp; a drive in fault stays there.
 
-    An axis that does not come to rest in the time of a ramp is waited for as long as it slows down.
+    An axis that does not come to rest in the time of a ramp is waited for as long as it slows down. One that still
+    moves then is not disabled: it stays in its quick stop, without the master's heartbeat.
 
     Afterwards the positions are watched for a while: `SyncExchange.brake_drop_rad`.
 
@@ -165,52 +105,74 @@ def disable(exchange: SyncExchange) -> list[DriveError]:
         master's heartbeat has ended.
     """
     failures = quick_stop(exchange) if _moves(exchange) else []
-    _add_new(failures, _wait_while_slowing(exchange))
-    brake_drop, drives = _BrakeDrop(exchange), exchange.drives
+    failures += _wait_while_slowing(exchange)
+    drives, drops = exchange.drives, [BrakeDrop(count) for count in exchange.position_count]
     closing_s = [_closing_s(drive) if exchange.powered else 0.0 for drive in drives]
     syncs_left = [math.ceil(seconds / exchange.timing.period_s) for seconds in closing_s]
 
+    def note(epoch: Epoch) -> None:
+        for drop, reading in zip(drops, epoch.readings, strict=True):
+            if reading is not None:
+                state = decode_state(reading.statusword)
+                drop.see(reading.position_count, is_held=state in _HELD, is_off=state in DOWN)
+
     def word(axis: int, state: State) -> int:
+        if _moves_held(exchange, axis):
+            return stopping_controlword(state)
         closes = state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE) and syncs_left[axis] > 0
         syncs_left[axis] -= closes
         return disabling_controlword(state, brake_closes=closes)
 
     leave_s = PATIENCE_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in drives)
     limit_s = leave_s + max(closing_s)
-    step = _Step(word, True, lambda axis: exchange.states[axis] in _DOWN, leave_s, limit_s, _DOWN)
-    _add_new(failures, _run(exchange, step, brake_drop.note))
+
+    def done(axis: int) -> bool:
+        return exchange.states[axis] in DOWN
+
+    failures += _run(exchange, word, done, limit_s, leave_s=leave_s, disables=True, note=note)
     if exchange.powered:
         exchange.powered = False
-        failures += _watch(exchange, brake_drop)
-        exchange.brake_drop_rad = brake_drop.rad()
-    return failures
+        failures += _watch(exchange, note)
+        exchange.brake_drop_rad = tuple(
+            drop.most_count * abs(drive.scale.count_rad) for drop, drive in zip(drops, drives, strict=True)
+        )
+    # of the failures of one kind and node the last one counts: what it says is more recent
+    return list({(type(error), error.node): error for error in failures}.values())
 
 
-def _add_new(failures: list[DriveError], later: list[DriveError]) -> None:
-    """Append failures of a later step, except those of the same kind and node."""
-    reported = {(type(error), error.node) for error in failures}
-    failures += [error for error in later if (type(error), error.node) not in reported]
+def _stopping_word(_axis: int, state: State) -> int:
+    return stopping_controlword(state)
+
+
+def _moves_held(exchange: SyncExchange, axis: int) -> bool:
+    """Return whether an axis is held or braked by its drive, and not at rest, by its last answers to SYNC."""
+    return exchange.states[axis] in _HELD and not exchange.is_at_rest(axis)
 
 
 def _moves(exchange: SyncExchange) -> bool:
     """Return whether a responding axis is held by its drive and not at rest; a ramp is waited for only once."""
-    held = _HELD if exchange.heartbeat else {State.OPERATION_ENABLED}
     return any(
-        state in held and not exchange.is_at_rest(axis) and exchange.unanswered[axis] < _SILENT
+        _moves_held(exchange, axis)
+        and (exchange.heartbeat.running or state is State.OPERATION_ENABLED)
+        and exchange.unanswered[axis] < _SILENT
         for axis, state in enumerate(exchange.states)
     )
 
 
-def _watch(exchange: SyncExchange, brake_drop: _BrakeDrop) -> list[DriveError]:
-    """Measure the drop of each axis after the brakes have closed."""
+def _watch(exchange: SyncExchange, note: Callable[[Epoch], None]) -> list[DriveError]:
+    """Measure the drop of each axis after the brakes have closed; an axis that its drive holds is not disabled."""
+
+    def word(_axis: int, state: State) -> int:
+        return stopping_controlword(state) if state in _HELD else disabling_controlword(state)
+
     until_s = time.monotonic() + _DROP_WATCH_MAX_S
     try:
-        for _ in range(math.ceil(_DROP_WATCH_S / exchange.timing.period_s)):
-            brake_drop.note(_cycle(exchange, lambda _axis, state: disabling_controlword(state)))
+        for _ in range(math.ceil(BRAKE_WATCH_S / exchange.timing.period_s)):
+            note(_cycle(exchange, word))
             if min(exchange.unanswered) >= _SILENT or time.monotonic() > until_s:
                 break
     except Exception as error:
-        exchange.end_heartbeat()
+        exchange.heartbeat.stop()
         return [while_stopping(error)]
     return []
 
@@ -222,48 +184,90 @@ def _cycle(exchange: SyncExchange, word: Callable[[int, State], int]) -> Epoch:
     return exchange.cycle([word(axis, state or State.UNDEFINED) for axis, state in enumerate(exchange.states)])
 
 
-def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> list[DriveError]:
+def _run(
+    exchange: SyncExchange,
+    word: Callable[[int, State], int],
+    done: Callable[[int], bool],
+    limit_s: float,
+    *,
+    leave_s: float = PATIENCE_S,
+    disables: bool = False,
+    note: Callable[[Epoch], object] = lambda _epoch: None,
+) -> list[DriveError]:
     """Run SYNCs with the controlwords of a step until every axis is done, not responding or out of time; then use
     SDO.
+
+    Parameters
+    ----------
+    exchange : SyncExchange
+    word : callable
+        Controlword by axis and state.
+    done : callable
+        Whether an axis has done the step.
+    limit_s, leave_s : float
+        Time limit of the step, and how long an axis may stay in OPERATION ENABLED [s].
+    disables : bool
+        The step ends in SWITCH ON DISABLED.
+    note : callable
+        Called with the epoch of each SYNC.
     """
     exchange.hurry()
     axes, period_s = range(len(exchange.drives)), exchange.timing.period_s
     failures: list[DriveError] = []
     try:
-        for number in range(1, math.ceil(step.limit_s / period_s) + 2):
-            note(_cycle(exchange, step.word))
+        for number in range(1, math.ceil(limit_s / period_s) + 2):
+            note(_cycle(exchange, word))
             gone = [exchange.unanswered[axis] >= _SILENT for axis in axes]
-            late = number * period_s > step.leave_s and State.OPERATION_ENABLED in exchange.states
+            late = number * period_s > leave_s and State.OPERATION_ENABLED in exchange.states
             if late or any(gone):
-                exchange.end_heartbeat()
-            if all(gone[axis] or (step.done(axis) and not exchange.unanswered[axis]) for axis in axes):
+                exchange.heartbeat.stop()
+            if all(gone[axis] or (done(axis) and not exchange.unanswered[axis]) for axis in axes):
                 break
     except Exception as error:
         failures.append(while_stopping(error))
     broken = bool(failures)
-    rest = [axis for axis in axes if exchange.unanswered[axis] or not step.done(axis) or broken]
+    rest = [axis for axis in axes if exchange.unanswered[axis] or not done(axis) or broken]
     if rest:
-        exchange.end_heartbeat()
+        exchange.heartbeat.stop()
     for axis in rest:
-        failures += _by_sdo(exchange, axis, step, broken or exchange.unanswered[axis] > 0)
+        drive, without_sync = exchange.drives[axis], broken or exchange.unanswered[axis] > 0
+        turn_count = drive.scale.revolutions(1.0) if without_sync else None
+        try:
+            if disables and not without_sync and _moves_held(exchange, axis):
+                raise _still_moving(drive, "; it was not disabled")
+            if disables:
+                _lead_down(drive, turn_count, time.sleep)
+            else:
+                _stop_by_sdo(drive, turn_count, still_moves=exchange.states[axis] in _STOPPED and not done(axis))
+        except Exception as error:
+            failures.append(_unknown(while_stopping(error, drive.node_id)))
     return failures
 
 
-def _by_sdo(exchange: SyncExchange, axis: int, step: _Step, without_sync: bool) -> list[DriveError]:
-    """Run the step by SDO for an axis that does not respond to SYNC, or has not done the step."""
-    drive = exchange.drives[axis]
-    try:
-        if step.disables:
-            _lead_down(drive, drive.scale.revolutions(1.0) if without_sync else None, time.sleep)
-            return []
-        for _ in range(_SDO_WORDS):
-            state = _state(drive)
-            if state in step.reached:
-                return [] if _seen_at_rest(exchange, axis, step, without_sync) else [_still_moving(drive)]
-            drive.send_controlword(step.word(axis, state))
-        return [_stays(drive)]
-    except Exception as error:
-        return [_unknown(while_stopping(error, drive.node_id))]
+def _stop_by_sdo(drive: Cia402Drive, turn_count: float | None, *, still_moves: bool) -> None:
+    """Stop a drive by SDO and wait until its standstill was read.
+
+    Parameters
+    ----------
+    drive : Cia402Drive
+    turn_count : float or None
+        As `_lead_down`.
+    still_moves : bool
+        It has answered SYNC, is stopped and not at rest.
+
+    Raises
+    ------
+    TransitionTimeout
+        It does not come to rest, or stays in another state.
+    """
+    for _ in range(_SDO_WORDS):
+        state = _state(drive)
+        if state in _STOPPED:
+            if still_moves if turn_count is None else not _wait_for_rest(drive, turn_count, time.sleep):
+                raise _still_moving(drive)
+            return
+        drive.send_controlword(stopping_controlword(state))
+    raise _stays(drive)
 
 
 def _unknown(failure: DriveError) -> DriveError:
@@ -281,7 +285,7 @@ def _lead_down(drive: Cia402Drive, turn_count: float | None, pause: Callable[[fl
     ----------
     drive : Cia402Drive
     turn_count : float or None
-        Position counts of one motor revolution; None = standstill was read, or waited for, by SYNC.
+        Position counts of one motor revolution; None = standstill was read by SYNC.
     pause : callable
         Waits for a number of seconds.
 
@@ -292,7 +296,7 @@ def _lead_down(drive: Cia402Drive, turn_count: float | None, pause: Callable[[fl
     """
     for _ in range(_SDO_WORDS):
         state = _state(drive)
-        if state in _DOWN:
+        if state in DOWN:
             return
         if state in _HELD:
             if state is State.OPERATION_ENABLED:
@@ -303,7 +307,7 @@ def _lead_down(drive: Cia402Drive, turn_count: float | None, pause: Callable[[fl
         if state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE):
             pause(_closing_s(drive))
         drive.send_controlword(disabling_controlword(state))
-    if _state(drive) not in _DOWN:
+    if _state(drive) not in DOWN:
         raise _stays(drive)
 
 
@@ -345,27 +349,18 @@ def _state(drive: Cia402Drive) -> State:
     return decode_state(drive.access.read(OBJECTS["statusword"], ONCE))
 
 
-def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step, without_sync: bool) -> bool:
-    """Return whether a stopped axis is at rest, by its answers to SYNC or, without any, by SDO."""
-    if without_sync:
-        drive = exchange.drives[axis]
-        return _wait_for_rest(drive, drive.scale.revolutions(1.0), time.sleep)
-    return step.done(axis) or exchange.states[axis] not in step.reached
-
-
 def _wait_for_rest(drive: Cia402Drive, turn_count: float, pause: Callable[[float], None]) -> bool:
     """Wait until SDO readings of position and velocity show that the axis is at rest; return whether they do in time.
 
     The velocity (0x606C) decides too where the profile states its unit and the drive does not refuse the object.
     """
-    position, velocity = drive.setup.profile.position.object, drive.setup.profile.velocity
+    velocity = drive.setup.profile.velocity
     unit_rad_s = None if velocity is None else velocity.rad_s(turn_count)
     standstill, until_s, time_s = Standstill(turn_count), time.monotonic() + RAMP_S, 0.0
     while time.monotonic() < until_s:
-        standstill.see(time_s, drive.access.read(position, ONCE))
-        turns = None if velocity is None else drive.access.read_readable(velocity.object, ONCE)
-        speed = abs(turns * unit_rad_s) if turns is not None and unit_rad_s is not None else 0.0
-        if standstill.at_rest() and speed <= _SDO_STILL_RAD_S:
+        _, count, turns = drive.read_axis(ONCE, velocity=unit_rad_s is not None)
+        standstill.see(time_s, count)
+        if standstill.at_rest() and abs((turns or 0) * (unit_rad_s or 0.0)) <= _SDO_STILL_RAD_S:
             return True
         pause(_SDO_PAUSE_S)
         time_s += _SDO_PAUSE_S  # at least: a reading takes its time too

@@ -6,10 +6,11 @@ import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import click
 
-from sim.pacing import PACINGS
+from sim.cellfile import PACINGS
 
 FILE_ERROR, BUS_ERROR = 3, 4
 
@@ -40,28 +41,16 @@ def main() -> None:
     help="In real time: apply each target on arrival instead of at the drive's own clock tick.",
 )
 @click.option("--timing", type=click.Path(path_type=Path), help="Write frames and motion of the drives here.")
-def serve(
-    cell: Path,
-    bus: str | None,
-    payload: Path | None,
-    undeclared: Path | None,
-    seed: int | None,
-    fault: tuple[str, ...],
-    truth: Path | None,
-    pacing: str | None,
-    unbuffered: bool,
-    timing: Path | None,
-) -> None:
+def serve(cell: Path, **options: Any) -> None:
     """Serve the drives of CELL until Ctrl-C. On stdin: payload LABEL | none, grip open | closed, quit."""
     with _installed():
         from sim.serve import ServeOptions, SimulationBusError
         from sim.serve import serve as run
 
-    if undeclared is not None and seed is not None:
+    if None not in (options["undeclared"], options["seed"]):
         raise click.UsageError("--undeclared and --seed exclude each other.")
-    options = ServeOptions(bus, payload, undeclared, seed, fault, truth, pacing, unbuffered, timing)
     try:
-        run(cell, options, lambda line: print(line, flush=True))
+        run(cell, ServeOptions(**options), lambda line: print(line, flush=True))
     except SimulationBusError as error:
         print(f"servo-sim: {error}", file=sys.stderr)
         sys.exit(BUS_ERROR)

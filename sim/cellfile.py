@@ -24,6 +24,8 @@ from sim.urdf import SimChain, UrdfError, read_chain, rotation_rpy
 Array = NDArray[np.float64]
 Table = Mapping[str, Any]
 
+#: "lockstep": simulated time advances by one period with each SYNC; "real": in real time.
+PACINGS = ("lockstep", "real")
 PAYLOAD_DENSITY_KG_M3 = 2500.0
 #: Constants of an axis that a cell may leave out.
 OPTIONAL_CONSTANTS = ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad")
@@ -192,7 +194,7 @@ def _arm(entry: Table, path: Path) -> ArmSpec:
         raise CellFileError(
             f"{path}: arm '{name}' has {axes} [[arm.axis]] tables, its robot {len(chain.axis)} joints; give one each."
         )
-    flange = _pose(entry, "flange")
+    flange = pose_of(entry, "flange")
     return ArmSpec(
         name=name,
         bus=str(entry["bus"]),
@@ -202,13 +204,14 @@ def _arm(entry: Table, path: Path) -> ArmSpec:
         axes=tuple(_axis(axis, path) for axis in entry["axis"]),
         start_rad=tuple(float(value) for value in entry["start_rad"]) if "start_rad" in entry else None,
         assumed_links="robot" not in entry,
-        base=_pose(entry, "base"),
+        base=pose_of(entry, "base"),
         flange=flange,
-        fingertip=flange @ _pose(entry, "tool"),
+        fingertip=flange @ pose_of(entry, "tool"),
     )
 
 
-def _pose(entry: Table, name: str) -> Array:
+def pose_of(entry: Table, name: str) -> Array:
+    """Return the pose (4, 4) [m] that `NAME_xyz_m` and `NAME_rpy_rad` of a table state; the identity by default."""
     pose = np.eye(4)
     pose[:3, :3] = rotation_rpy([float(value) for value in entry.get(f"{name}_rpy_rad", (0.0, 0.0, 0.0))])
     pose[:3, 3] = [float(value) for value in entry.get(f"{name}_xyz_m", (0.0, 0.0, 0.0))]

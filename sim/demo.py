@@ -12,34 +12,19 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
 from sim.cellfile import read_payloads
-from sim.serve import command, free_bus, wait_until_ready
-from sim.simulation import ServeOptions
+from sim.serve import RunningSimulation, running
 
 EXAMPLE = Path(__file__).parent / "example"
 LOAD_PROMPT = re.compile(r"HANG LOAD (\S+)")
 FAILED_FINDING = 7
 #: Both programs wait for each other instead of the clock: the whole job in a fraction of its time.
 PACING = "lockstep"
-
-
-@dataclass(frozen=True, slots=True)
-class Demo:
-    """Inputs of the demo: cell, loads, undeclared effects, output folder."""
-
-    cell: Path
-    payload: Path
-    undeclared: Path | None
-    seed: int | None
-    out: Path
 
 
 @click.command()
@@ -56,53 +41,37 @@ def main(cell: Path, payload: Path, undeclared: Path | None, seed: int | None, o
         undeclared = undeclared or EXAMPLE / "undeclared.toml"
     elif undeclared is not None:
         raise click.UsageError("--undeclared and --seed exclude each other.")
-    sys.exit(run(Demo(cell, payload, undeclared, seed, out)))
+    sys.exit(run(cell, payload, undeclared, seed, out))
 
 
-def run(demo: Demo) -> int:
-    """Run simulator and gateway; return the exit code of the gateway."""
-    demo.out.mkdir(parents=True, exist_ok=True)
-    truth, bus, begun = demo.out / "truth.json", free_bus(), time.monotonic()
-    options = ServeOptions(
-        bus=bus,
-        payload=demo.payload,
-        undeclared=demo.undeclared,
-        seed=demo.seed,
-        truth=truth,
-        pacing=PACING,
-    )
-    with _simulator(command(demo.cell, options)) as simulator:
-        code = _commission(demo, bus, simulator)
-    result = demo.out / "result.json"
+def run(cell: Path, payload: Path, undeclared: Path | None, seed: int | None, out: Path) -> int:
+    """Run simulator and gateway; return the exit code of the gateway.
+
+    Parameters
+    ----------
+    cell, payload, undeclared, seed : as of `servo-sim serve`
+    out : folder of the results
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    truth, begun = out / "truth.json", time.monotonic()
+    with running(cell, payload=payload, undeclared=undeclared, seed=seed, truth=truth, pacing=PACING) as simulator:
+        click.echo(simulator.ready)
+        words = [sys.executable, "-m", "gateway.cli", "commission", str(cell)]
+        words += ["--bus", simulator.bus, "--pacing", PACING, "--yes", "--out", str(out)]
+        for label in read_payloads(payload):
+            words += ["--load", label]
+        code = _commission(words, simulator)
+    result = out / "result.json"
     if code in (0, FAILED_FINDING) and result.exists():
         _add_truth(result, json.loads(truth.read_text(encoding="utf-8")))
         _print_comparison(json.loads(result.read_text(encoding="utf-8")))
     truth.unlink(missing_ok=True)
-    click.echo(f"{time.monotonic() - begun:.1f} s; results in {demo.out}")
+    click.echo(f"{time.monotonic() - begun:.1f} s; results in {out}")
     return code
 
 
-@contextmanager
-def _simulator(words: Sequence[str]):
-    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        click.echo(wait_until_ready(process).rstrip())
-        yield process
-    finally:
-        process.terminate()
-        try:
-            process.communicate(timeout=10.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-
-
-def _commission(demo: Demo, bus: str, simulator: subprocess.Popen[str]) -> int:
+def _commission(words: list[str], simulator: RunningSimulation) -> int:
     """Run the gateway, show its output, mount the loads that it requests."""
-    words = [sys.executable, "-m", "gateway.cli", "commission", str(demo.cell)]
-    words += ["--bus", bus, "--pacing", PACING, "--yes", "--out", str(demo.out)]
-    for label in read_payloads(demo.payload):
-        words += ["--load", label]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as gateway:
         if gateway.stdout is None or gateway.stdin is None:
             return 1
@@ -110,18 +79,10 @@ def _commission(demo: Demo, bus: str, simulator: subprocess.Popen[str]) -> int:
             click.echo(line.rstrip("\n"))
             asked = LOAD_PROMPT.search(line)
             if asked:
-                click.echo(_mount(simulator, asked.group(1)))
+                click.echo(simulator.ask(f"payload {asked.group(1)}"))
                 gateway.stdin.write(f"{asked.group(1)}\n")
                 gateway.stdin.flush()
         return gateway.wait()
-
-
-def _mount(simulator: subprocess.Popen[str], label: str) -> str:
-    if simulator.stdin is None or simulator.stdout is None:
-        return ""
-    simulator.stdin.write(f"payload {label}\n")
-    simulator.stdin.flush()
-    return simulator.stdout.readline().rstrip()
 
 
 def _add_truth(path: Path, truth: dict[str, Any]) -> None:

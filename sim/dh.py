@@ -7,15 +7,15 @@ base and thin at the hand, as light as the axes can carry.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.plant import GRAVITY_M_S2
-from sim.urdf import FEWEST_AXES, MOST_AXES, SimBody, SimChain, UrdfError
+from sim.urdf import FEWEST_AXES, MOST_AXES, SimBody, SimChain, UrdfError, translation, turn
 
 Array = NDArray[np.float64]
 
@@ -65,10 +65,10 @@ def chain_of_rows(table: Mapping[str, Any], name: str, flange_m: Sequence[float]
 def _standing(rows: Array, convention: str, name: str) -> tuple[list[Array], Array]:
     """Return the link frames (4, 4) in the base at q = 0, and the joint axes (N, 3) in these frames."""
     if convention == "modified":
-        return list(_products(_craig(*row) for row in rows)), np.tile([0.0, 0.0, 1.0], (len(rows), 1))
+        return list(accumulate((_craig(*row) for row in rows), np.matmul)), np.tile([0.0, 0.0, 1.0], (len(rows), 1))
     if convention != "standard":
         raise UrdfError(f"[arm.dh] of '{name}': convention '{convention}' is neither 'modified' nor 'standard'")
-    ends = list(_products(_paul(*row) for row in rows))
+    ends = list(accumulate((_paul(*row) for row in rows), np.matmul))
     starts = [np.eye(4), *ends[:-1]]
     if abs(rows[-1, 1]) > ON_AXIS_M:
         raise UrdfError(f"[arm.dh] of '{name}': the last a_m must be 0 in the standard convention; use the flange")
@@ -77,27 +77,14 @@ def _standing(rows: Array, convention: str, name: str) -> tuple[list[Array], Arr
     return poses, np.array([pose[:3, :3].T @ start[:3, 2] for pose, start in zip(poses, starts, strict=True)])
 
 
-def _products(steps: Iterable[Array]) -> Iterator[Array]:
-    pose = np.eye(4)
-    for step in steps:
-        pose = pose @ step
-        yield pose
-
-
 def _craig(alpha: float, a: float, d: float, theta: float) -> Array:
     """Return the modified Denavit-Hartenberg link transform (Craig, Introduction to Robotics, eq. 3.6)."""
-    (ca, sa), (ct, st) = (math.cos(alpha), math.sin(alpha)), (math.cos(theta), math.sin(theta))
-    return np.array(
-        [[ct, -st, 0, a], [st * ca, ct * ca, -sa, -sa * d], [st * sa, ct * sa, ca, ca * d], [0, 0, 0, 1]], dtype=float
-    )
+    return turn("x", alpha) @ translation(a, 0.0, 0.0) @ turn("z", theta) @ translation(0.0, 0.0, d)
 
 
 def _paul(alpha: float, a: float, d: float, theta: float) -> Array:
     """Return the standard Denavit-Hartenberg link transform (Paul, Robot Manipulators, eq. 2.32)."""
-    (ca, sa), (ct, st) = (math.cos(alpha), math.sin(alpha)), (math.cos(theta), math.sin(theta))
-    return np.array(
-        [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0, sa, ca, d], [0, 0, 0, 1]], dtype=float
-    )
+    return turn("z", theta) @ translation(a, 0.0, d) @ turn("x", alpha)
 
 
 def _links(placement: Array, flange_m: Array, torque_nm: Array) -> tuple[SimBody, ...]:

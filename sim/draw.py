@@ -6,7 +6,7 @@ handed over carries inertials that are wrong by a few percent, as CAD is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,16 +80,7 @@ def draw_arm(rng: np.random.Generator) -> DrawnArm:
         reading_noise_nm=capacity * rng.uniform(0.002, 0.01, 6),
     )
     if rng.random() < 0.5:
-        plant = nominal_plant(
-            masses,
-            coms,
-            tensors,
-            coulomb_nm=coulomb,
-            stiction_nm=1.2 * coulomb,
-            gear_efficiency=efficiency,
-            reading_noise_nm=plant.reading_noise_nm,
-            temperature_c=warm_up,
-        )
+        plant = replace(plant, temperature_c=warm_up)
     protocol = Protocol(samples=100, settle=rng.uniform(0.1, 0.6, 6), resolution_nm=capacity * 1e-3)
     std = prior_std(chain)
     tool = loads["tool"]
@@ -134,18 +125,7 @@ def _stated(chain: SimChain, std: Array, rng: np.random.Generator) -> str:
         error = std[4 * link : 4 * link + 4] * np.clip(rng.standard_normal(4), -2.5, 2.5)
         mass = body.mass_kg + error[0]
         bodies.append(SimBody(mass, (body.mass_kg * body.com_m + error[1:]) / mass, body.inertia_kg_m2))
-    return write_chain(
-        SimChain(
-            chain.name,
-            chain.placement,
-            chain.axis,
-            tuple(bodies),
-            chain.lower_rad,
-            chain.upper_rad,
-            chain.effort_nm,
-            chain.velocity_rad_s,
-        )
-    )
+    return write_chain(replace(chain, bodies=tuple(bodies)))
 
 
 def arm_geometry(payload_kg: float, rng: np.random.Generator) -> SimChain:

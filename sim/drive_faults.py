@@ -127,18 +127,18 @@ def _in_place(drive: FakeDrive, other: Callable[[PdsState], PdsState]) -> None:
 
 def drop_out(drive: FakeDrive, fault: Fault) -> None:
     """The drive falls back to SWITCHED ON a few SYNCs after each enabling."""
-    apply_setpoints = drive.apply_setpoints
+    latch = drive.latch
     enabled_syncs = 0
 
     def drops() -> None:
         nonlocal enabled_syncs
-        apply_setpoints()
+        latch()
         enabled_syncs = enabled_syncs + 1 if drive.automaton.state is PdsState.OPERATION_ENABLED else 0
         if enabled_syncs > fault.count:
             drive.automaton.state = PdsState.SWITCHED_ON
             drive.motion.state_changed(PdsState.SWITCHED_ON)
 
-    drive.alter(drive, "apply_setpoints", drops)
+    drive.alter(drive, "latch", drops)
 
 
 def refuse_start(drive: FakeDrive, fault: Fault) -> None:
@@ -283,12 +283,12 @@ def inhibit_strictly(drive: FakeDrive, _fault: Fault) -> None:
 def watch_period(drive: FakeDrive, fault: Fault) -> None:
     """0x1006 is set at power-up; SYNCs of another period end OPERATIONAL."""
     _shows(drive, (0x1006, 0), fault.code)
-    apply_setpoints, node = drive.apply_setpoints, drive.node
+    latch, node = drive.latch, drive.node
     previous_s, wrong = math.nan, 0
 
     def compare() -> None:
         nonlocal previous_s, wrong
-        apply_setpoints()
+        latch()
         period_s = drive.store.number((0x1006, 0)) * 1e-6
         passed_s, previous_s = drive.time_s - previous_s, drive.time_s
         wrong = wrong + 1 if period_s and abs(passed_s - period_s) > SYNC_PERIOD_TOLERANCE * period_s else 0
@@ -297,7 +297,7 @@ def watch_period(drive: FakeDrive, fault: Fault) -> None:
             node.emergency(EMCY_COMMUNICATION, node.error_register | REGISTER_COMMUNICATION)
             node.enter(PRE_OPERATIONAL)
 
-    drive.alter(drive, "apply_setpoints", compare)
+    drive.alter(drive, "latch", compare)
 
 
 def flood(drive: FakeDrive, fault: Fault) -> None:

@@ -26,7 +26,7 @@ from sim.reading_effects import (
     torque_ripple,
 )
 from sim.request import Array, EffectError, PointJacobian, Request, Transform, altered, passive_on
-from sim.urdf import MOST_AXES
+from sim.urdf import MOST_AXES, turn_about
 
 # ---------------------------------------------------------------------------------------------------------- friction
 
@@ -62,7 +62,7 @@ def base_tilt(request: Request) -> Transform:
     vector = np.array([request.number("tilt_x_rad", 0.0), request.number("tilt_y_rad", 0.0), 0.0])
 
     def apply(plant: Plant) -> Plant:
-        return replace(plant, gravity_m_s2=_rotation(vector).T @ plant.gravity_m_s2)
+        return replace(plant, gravity_m_s2=turn_about(vector).T @ plant.gravity_m_s2)
 
     return apply
 
@@ -217,15 +217,6 @@ def apply_effects(
     for effect in sorted(effects, key=lambda effect: effect.get("name") == "thermal_drift"):
         plant = effect_from_dict(effect, jacobian)(plant)
     return plant
-
-
-def _rotation(vector: Array) -> Array:
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-15:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
 
 
 __all__ = [

@@ -6,6 +6,7 @@ angle and speed with the scaling of the drive's profile; setpoints are converted
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -14,24 +15,30 @@ import can
 from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.cellfile import AxisSpec
-from sim.drive_objects import MODES, fill
-from sim.makes import LACKING
+from sim.device import PDO_COUNT, Device
+from sim.makes import LACKING, SUPPORTED_MODES, Word
 from sim.motion import DriveMotion
 from sim.motor import MotorAxis
-from sim.node import OPERATIONAL, SlaveNode
-from sim.objects import NO_DATA, VALUE_RANGE, Address, Getter, ObjectStore, Setter
-from sim.pdo import DISABLED, EVENT_TYPES, Pdo, due
+from sim.node import OPERATIONAL
+from sim.objects import LIMITS, NO_DATA, VALUE_RANGE, Address, Getter, Setter
+from sim.pdo import EVENT_TYPES, Pdo
 from sim.states import Automaton, PdsState
-from sim.units import MAX_TORQUE_PER_MILLE, DriveUnits, Word, drive_units
+from sim.units import MAX_TORQUE_PER_MILLE, drive_units, named_object
 
-PDO_COUNT = 4
 POLARITY_POSITION = 0x80
 VOLTAGE_ENABLED, REMOTE = 1 << 4, 1 << 9
 EMCY_HEARTBEAT, EMCY_PDO_LENGTH = 0x8130, 0x8210
 REGISTER_GENERIC, REGISTER_COMMUNICATION, REGISTER_PROFILE = 0x01, 0x10, 0x20
 
+VENDOR_ID = 0x0000053A
+REVISION = 0x00010000
+MODES = {1: 0, 8: 7, 10: 9}
+#: Margin of the drive's software limits outside the cell's [rad].
+LIMIT_MARGIN_RAD = 0.05
+FOLLOWING_WINDOW_RAD = 0.15
 
-class FakeDrive:
+
+class FakeDrive(Device):
     """One simulated drive: network node, object dictionary, CiA 402 state machine and motor.
 
     Parameters
@@ -45,14 +52,13 @@ class FakeDrive:
 
     Attributes
     ----------
-    node : SlaveNode; store : object dictionary; units : scaling of its objects
+    units : scaling of its objects
     automaton : CiA 402 state machine; mode : 0x6060 (0 none, 1 PP, 8 CSP, 10 CST)
     axis : the motor that it drives
     reading_nm : torque measured last, at the gear output [Nm]
     error_code : 0x603F
     time_s : simulated time that it has reached [s]
     power_up_values : objects by address, as they are after a restart
-    put : sends a frame on the bus
     """
 
     def __init__(
@@ -64,28 +70,27 @@ class FakeDrive:
         send: Callable[[can.Message], None],
         limited: bool = True,
     ) -> None:
-        self.node_id, self.spec, self.sync_period_s = node_id, spec, sync_period_s
+        super().__init__(node_id, send)
+        self.spec, self.sync_period_s = spec, sync_period_s
         self.limited, self.axis = limited, axis
-        self.put = send
-        self.units: DriveUnits = drive_units(spec)
+        self.units = drive_units(spec)
         self.serial = 0x51_0000 + node_id
         self.counts_per_joint_rad = spec.position_sign * spec.gear_ratio * self.units.counts_per_rad
         self.reading_nm = 0.0
         self.automaton = Automaton()
         self.time_s = 0.0
         self.motion = DriveMotion(self)
-        self.store = ObjectStore()
         self.reset_setpoints()
         fill(self)
         self.target_counts = self.position_counts()
-        self._register_pdos()
-        self.node = SlaveNode(node_id, self.store)
+        self.tpdos = [Pdo(self.store, 0x1800 + n, 0x1A00 + n) for n in range(PDO_COUNT)]
+        self.rpdos = [Pdo(self.store, 0x1400 + n, 0x1600 + n) for n in range(PDO_COUNT)]
+        self.connect()
         self.power_up_values = dict(self.store.values)
         self._built = dict(self.store.values), dict(self.store.entries)
         self._altered: list[tuple[object, str, Any]] = []
         lacking = LACKING.get(str(spec.profile.get("name")), frozenset())
         self.node.sdo.refuse = lambda index, _subindex: NO_DATA if index in lacking else None
-        self.node.on_nmt = self._nmt_changed
         self.node.on_reset = self.reset
         self.node.on_heartbeat_lost = self._heartbeat_lost
         self.node.on_heartbeat_resumed = self._heartbeat_resumed
@@ -135,31 +140,17 @@ class FakeDrive:
 
     # ----------------------------------------------------------------------------------------------------- PDOs
 
-    def _register_pdos(self) -> None:
-        self.tpdos = [
-            Pdo(self.store, 0x1800 + n, 0x1A00 + n, 0x180 + 0x100 * n + self.node_id) for n in range(PDO_COUNT)
-        ]
-        self.rpdos = [
-            Pdo(self.store, 0x1400 + n, 0x1600 + n, 0x200 + 0x100 * n + self.node_id) for n in range(PDO_COUNT)
-        ]
-        self.preset_pdos()
-
     def preset_pdos(self) -> None:
         """Set the default PDO mapping of CiA 402-2: PDO 1 by event (statusword, controlword), others invalid."""
-        for n, (tpdo, rpdo) in enumerate(zip(self.tpdos, self.rpdos, strict=True)):
-            tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | (0 if n == 0 else DISABLED)
-            rpdo.cob_id = (0x200 + 0x100 * n + self.node_id) | (0 if n == 0 else DISABLED)
-            tpdo.inhibit_100us = tpdo.event_ms = 0
-            tpdo.preset([(0x6041, 0)] if n == 0 else [(0x6041, 0), (0x6064, 0)][: n + 1], 255)
-            rpdo.preset([(0x6040, 0)] if n == 0 else [(0x6040, 0), (0x607A, 0)][: n + 1], 255)
+        self.preset(self.tpdos, 0x180, [(0x6041, 0), (0x6064, 0)], first=True)
+        self.preset(self.rpdos, 0x200, [(0x6040, 0), (0x607A, 0)], first=True)
         self._buffers: list[bytes | None] = [None] * PDO_COUNT
         self._last_event: list[bytes | None] = [None] * PDO_COUNT
         self._event_due_s = [0.0] * PDO_COUNT
-        self._sync_count = 0
 
     def rpdo_received(self, number: int, data: bytes) -> None:
         """Process a frame of RPDO `number` (0 = RPDO1); a synchronous RPDO is buffered until the next SYNC."""
-        if self.node.state != OPERATIONAL or self.node.unpowered:
+        if not self.exchanges:
             return
         rpdo = self.rpdos[number]
         if len(data) < rpdo.packing.size:
@@ -169,17 +160,7 @@ class FakeDrive:
         else:
             self._buffers[number] = data
 
-    def sync(self) -> None:
-        """Process a SYNC: apply the buffered synchronous RPDOs, then sample and send the synchronous TPDOs."""
-        if self.node.state != OPERATIONAL or self.node.unpowered:
-            return
-        self._sync_count += 1
-        self.apply_setpoints()
-        for tpdo in self.tpdos:
-            if self.node.state == OPERATIONAL and due(tpdo, self._sync_count):
-                self.transmit(tpdo)
-
-    def apply_setpoints(self) -> None:
+    def latch(self) -> None:
         """Take over the synchronous RPDOs that have come since the last SYNC."""
         for number, data in enumerate(self._buffers):
             if data is not None:
@@ -188,7 +169,7 @@ class FakeDrive:
 
     def send_events(self, time_s: float) -> None:
         """Send event-driven TPDOs: on change, limited by the inhibit time, and when the event timer elapses."""
-        if self.node.state != OPERATIONAL or self.node.unpowered:
+        if not self.exchanges:
             return
         for number, tpdo in enumerate(self.tpdos):
             if tpdo.enabled and tpdo.transmission in (0, *EVENT_TYPES):
@@ -203,10 +184,6 @@ class FakeDrive:
         if (data != before and (before is None or waited >= tpdo.inhibit_100us * 1e-4)) or timer:
             self._last_event[number], self._event_due_s[number] = data, time_s
             self.transmit(tpdo)
-
-    def transmit(self, tpdo: Pdo) -> None:
-        """Send one TPDO."""
-        self.put(can.Message(arbitration_id=tpdo.frame_id, data=tpdo.pack(), is_extended_id=False))
 
     # ------------------------------------------------------------------------------------------- state and faults
 
@@ -264,9 +241,10 @@ class FakeDrive:
         if self.automaton.state not in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
             self.node.emergency(0x0000, 0)
 
-    def _nmt_changed(self, old: int, new: int) -> None:
+    def nmt_changed(self, old: int, new: int) -> None:
+        """Forget what was sent; a drive that leaves OPERATIONAL acts as on a lost connection."""
+        super().nmt_changed(old, new)
         if new == OPERATIONAL:
-            self._sync_count = 0
             self._last_event = [None] * PDO_COUNT
         elif old == OPERATIONAL:
             self._connection_lost(0)
@@ -402,3 +380,142 @@ class FakeDrive:
         self.time_s = time_s
         self.node.watch(time_s)
         self.motion.supervise(time_s)
+
+
+# ------------------------------------------------------------------------------------------------- object dictionary
+
+
+def _one_of(*allowed: int):
+    def check(value: int) -> None:
+        if value not in allowed:
+            raise SdoAbortedError(VALUE_RANGE)
+
+    return check
+
+
+def fill(drive: FakeDrive) -> None:
+    """Register all objects of a drive except those of PDOs and network management."""
+    _device(drive)
+    _state_objects(drive)
+    _motion_objects(drive)
+    _torque_objects(drive)
+    _temperature(drive)
+
+
+def _temperature(drive: FakeDrive) -> None:
+    """Register the temperature object if the profile names one."""
+    stated = drive.spec.profile.get("temperature")
+    if stated is not None:
+        address, type_ = named_object(stated["object"])
+        per_bit = float(stated["unit_c"]["value"])
+        drive.store.live(address, type_, lambda: round(drive.axis.winding_c() / per_bit))
+
+
+def _device(drive: FakeDrive) -> None:
+    store, profile = drive.store, drive.spec.profile
+    identity = profile.get("identity", {})
+    revision = max(int(identity.get("revision_min", 0)), min(REVISION, int(identity.get("revision_max", REVISION))))
+    store.constant((0x1000, 0), "u32", 0x00020192)
+    store.parameter((0x1005, 0), "u32", 0x80)
+    store.parameter((0x1006, 0), "u32", 0)
+    store.parameter((0x1007, 0), "u32", 0)
+    store.parameter((0x1019, 0), "u8", 0)
+    store.constant((0x1008, 0), "str", f"simulated servo drive, {profile.get('name', 'unnamed')}")
+    store.constant((0x1009, 0), "str", "simulated hardware 1")
+    store.constant((0x100A, 0), "str", "simulated firmware 1.0.0")
+    for index, signature in ((0x1010, 0x65766173), (0x1011, 0x64616F6C)):
+        store.constant((index, 0), "u8", 1)
+        store.parameter((index, 1), "u32", 1, _one_of(signature))
+    store.parameter((0x1015, 0), "u16", 0)
+    values = (int(identity.get("vendor_id", VENDOR_ID)), int(identity.get("product_code", 1)), revision, drive.serial)
+    store.constant((0x1018, 0), "u8", 4)
+    for sub, value in enumerate(values, start=1):
+        store.constant((0x1018, sub), "u32", value)
+    store.constant((0x1029, 0), "u8", 1)
+    store.parameter((0x1029, 1), "u8", 1, _one_of(0, 1, 2))
+    store.constant((0x1200, 0), "u8", 2)
+    store.constant((0x1200, 1), "u32", 0x600 + drive.node_id)
+    store.constant((0x1200, 2), "u32", 0x580 + drive.node_id)
+
+
+def _state_objects(drive: FakeDrive) -> None:
+    store = drive.store
+    store.parameter((0x6007, 0), "i16", 1, _one_of(0, 1, 2, 3))
+    store.live((0x603F, 0), "u16", lambda: drive.error_code)
+    store.live((0x6040, 0), "u16", lambda: drive.automaton.controlword, drive.take_controlword)
+    store.live((0x6041, 0), "u16", drive.statusword)
+    store.parameter((0x605A, 0), "i16", 2, drive.take_quick_stop_option)
+    store.parameter((0x605B, 0), "i16", 0, _one_of(0, 1))
+    store.parameter((0x605C, 0), "i16", 0, _one_of(0, 1))
+    store.parameter((0x605D, 0), "i16", 1, _one_of(1, 2))
+    store.parameter((0x605E, 0), "i16", 2, _one_of(0, 1, 2))
+    store.live((0x6060, 0), "i8", lambda: drive.mode, drive.take_mode)
+    store.live((0x6061, 0), "i8", lambda: drive.mode)
+    modes = sum(1 << bit for bit in MODES.values())
+    store.constant((0x6502, 0), "u32", SUPPORTED_MODES.get(str(drive.spec.profile.get("name")), modes))
+    store.constant((0x6402, 0), "u16", 10)
+    store.live((0x60FD, 0), "u32", drive.digital_inputs)
+    store.constant((0x60FE, 0), "u8", 1)
+    store.live((0x60FE, 1), "u32", lambda: 0 if drive.axis.free else 1)
+    store.constant((0x6079, 0), "u32", 565_000)
+
+
+def _motion_objects(drive: FakeDrive) -> None:
+    store, axis, units = drive.store, drive.spec, drive.units
+    window = abs(round(FOLLOWING_WINDOW_RAD * drive.counts_per_joint_rad))
+    speed = axis.speed_limit_rad_s * abs(axis.gear_ratio)
+    bits = units.velocity.bits_per_unit
+    store.live((0x6062, 0), "i32", drive.demand_counts)
+    store.live((0x6063, 0), "i32", drive.position_counts)
+    store.live((0x6064, 0), "i32", drive.position_counts)
+    store.parameter((0x6065, 0), "u32", window)
+    store.parameter((0x6066, 0), "u16", 20)
+    store.parameter((0x6067, 0), "u32", max(1, window // 100))
+    store.parameter((0x6068, 0), "u16", 50)
+    store.live((0x606B, 0), "i32", drive.demand_velocity)
+    store.live(units.velocity.address, units.velocity.type, drive.velocity_word)
+    store.live((0x607A, 0), "i32", lambda: drive.target_counts, drive.take_target)
+    store.constant((0x607C, 0), "i32", 0)
+    low, high = axis.position_limit_rad
+    ends = [drive.counts_at(low - LIMIT_MARGIN_RAD), drive.counts_at(high + LIMIT_MARGIN_RAD)]
+    store.constant((0x607D, 0), "u8", 2)
+    for sub, value in ((1, min(ends)), (2, max(ends))):
+        least, most = LIMITS["i32"]
+        store.parameter((0x607D, sub), "i32", min(max(value, least), most) if drive.limited else 0)
+    store.parameter((0x607E, 0), "u8", 0, _one_of(0, 0x80, 0x40, 0xC0))
+    store.parameter((0x607F, 0), "u32", max(1, round(2.0 * speed * bits)))
+    store.parameter((0x6080, 0), "u32", round(3.0 * speed * 30.0 / math.pi))
+    store.parameter((0x6081, 0), "u32", max(1, round(0.5 * speed * bits)))
+    for index, seconds in ((0x6083, 1.0), (0x6084, 1.0), (0x6085, 0.1)):
+        store.parameter((index, 0), "u32", max(1, round(speed / seconds * (units.ramp_bits or bits))))
+    store.parameter((0x6086, 0), "i16", 0, _one_of(0))
+    store.constant((0x6091, 0), "u8", 2)
+    store.constant((0x6091, 1), "u32", 1)
+    store.constant((0x6091, 2), "u32", 1)
+    store.live((0x60B1, 0), "i32", lambda: drive.velocity_offset, drive.take_velocity_offset)
+    store.constant((0x60C2, 0), "u8", 2)
+    store.parameter((0x60C2, 1), "u8", max(1, round(drive.sync_period_s * 1000.0)))
+    store.parameter((0x60C2, 2), "i8", -3, _one_of(-3, -2, -1, 0))
+    store.live((0x60F4, 0), "i32", drive.following_error_counts)
+
+
+def _torque_objects(drive: FakeDrive) -> None:
+    store, units = drive.store, drive.units
+    store.live((0x6071, 0), "i16", lambda: drive.target_torque, drive.take_target_torque)
+    store.parameter((0x6072, 0), "u16", MAX_TORQUE_PER_MILLE, drive.take_max_torque)
+    store.parameter((0x6073, 0), "u16", MAX_TORQUE_PER_MILLE)
+    store.live((0x6074, 0), "i16", drive.demand_word)
+    store.live((0x6077, 0), "i16", drive.demand_word)
+    store.live((0x6078, 0), "i16", drive.standard_current_word)
+    store.live((0x60B2, 0), "i16", lambda: drive.torque_offset, drive.take_torque_offset)
+    seen: set[int] = set()
+    for (index, sub), (type_, value) in units.constants.items():
+        store.constant((index, sub), type_, value)
+        if sub and index not in seen:
+            seen.add(index)
+            store.constant((index, 0), "u8", 2)
+    for word in (units.torque, units.current):
+        if word is not None:
+            store.live(word.address, word.type, drive.torque_word(word))
+            if word.address[1]:
+                store.constant((word.address[0], 0), "u8", word.address[1])

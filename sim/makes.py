@@ -1,4 +1,4 @@
-"""Scaling of drives of known makes, from the manufacturer's manual or from code that runs them.
+"""Objects that hold a measured quantity, and their scale in drives of known makes, from manuals or from code.
 
 Nothing here is read from the profile. A profile that contradicts the make gives a wrong torque, which the test over all
 profiles detects.
@@ -7,22 +7,53 @@ profiles detects.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 from sim.cellfile import AxisSpec
-from sim.scaled_objects import DriveUnits, Word
-
-Make = Callable[[AxisSpec, DriveUnits], DriveUnits]
+from sim.objects import Address
 
 #: Counts of one motor revolution of the simulated encoder.
 RESOLUTION = 131072
 
 
-def as_its_make_counts(name: str, axis: AxisSpec, units: DriveUnits) -> DriveUnits:
-    """Return the scaling of a known make of drive, else the given scaling."""
-    make = MAKES.get(name)
-    return units if make is None else make(axis, units)
+@dataclass(frozen=True, slots=True)
+class Word:
+    """An object that holds a measured quantity: raw = quantity x `bits_per_unit`."""
+
+    address: Address
+    type: str
+    bits_per_unit: float
+
+
+@dataclass(frozen=True, slots=True)
+class DriveUnits:
+    """Scales of one drive, motor side.
+
+    Attributes
+    ----------
+    rated_torque_nm : of the motor [Nm]
+    rated_current_a : of the motor, in the ampere the torque constant refers to [A]
+    torque, current : objects that the profile names for them; bits per Nm of reported torque
+    velocity : object and bits per rad/s
+    counts_per_rad : of the motor
+    offset_nm_per_bit : what one bit of 0x60B2 and 0x6071 demands [Nm]
+    constants : objects the drive shows for its ratings and resolution, raw
+    ramp_bits : bits of accelerations per rad/s2, where they are not those of the velocity
+    """
+
+    rated_torque_nm: float
+    rated_current_a: float
+    torque: Word
+    current: Word | None
+    velocity: Word
+    counts_per_rad: float
+    offset_nm_per_bit: float
+    constants: Mapping[Address, tuple[str, int]]
+    ramp_bits: float | None = None
+
+
+Make = Callable[[AxisSpec, DriveUnits], DriveUnits]
 
 
 def _permille_of_torque(units: DriveUnits, shown: int, nm_per_bit: float) -> DriveUnits:

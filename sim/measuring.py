@@ -13,14 +13,13 @@ from dataclasses import dataclass
 
 import can
 
-from sim.node import OPERATIONAL, SlaveNode
-from sim.objects import LIMITS, ObjectStore
-from sim.pdo import DISABLED, Pdo, due
+from sim.device import PDO_COUNT, Device
+from sim.objects import LIMITS
+from sim.pdo import Pdo
 
 DEVICE_TYPE = 0x0002_0194  # analogue inputs, CiA 404
 METRE = 0x01
 NOT_VALID, ABOVE, BELOW = 0x01, 0x02, 0x04
-TPDO_COUNT = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +45,7 @@ class MeasuringSite:
     range_m: tuple[float, float]
 
 
-class FakeMeasuringDevice:
+class FakeMeasuringDevice(Device):
     """One device on the bus.
 
     Parameters
@@ -57,27 +56,20 @@ class FakeMeasuringDevice:
 
     Attributes
     ----------
-    node : SlaveNode; store : its objects
     measure : as given
     """
 
     def __init__(
         self, site: MeasuringSite, measure: Callable[[], Sequence[float]], send: Callable[[can.Message], None]
     ) -> None:
-        self.node_id, self.site = site.node_id, site
-        self.measure, self._send = measure, send
+        super().__init__(site.node_id, send)
+        self.site, self.measure = site, measure
         self._words = [0] * len(site.subindices)
         self._status = [NOT_VALID] * len(site.subindices)
-        self._sync_count = 0
-        self.store = ObjectStore()
         self._fill()
-        self.tpdos = [
-            Pdo(self.store, 0x1800 + n, 0x1A00 + n, 0x180 + 0x100 * n + site.node_id) for n in range(TPDO_COUNT)
-        ]
-        self._preset()
-        self.node = SlaveNode(site.node_id, self.store)
-        self.node.on_nmt = self._nmt_changed
-        self.node.on_reset = self._preset
+        self.tpdos = [Pdo(self.store, 0x1800 + n, 0x1A00 + n) for n in range(PDO_COUNT)]
+        self.connect()
+        self.node.on_reset = self.preset_pdos
 
     def _fill(self) -> None:
         site, store = self.site, self.store
@@ -102,28 +94,12 @@ class FakeMeasuringDevice:
             if site.status_index is not None:
                 store.live((site.status_index, sub), "u8", lambda channel=channel: self._status[channel])
 
-    def _preset(self) -> None:
+    def preset_pdos(self) -> None:
         """Set the default PDO mapping, with all TPDOs invalid until a master enables one."""
-        for n, tpdo in enumerate(self.tpdos):
-            tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | DISABLED
-            tpdo.preset([(self.site.index, self.site.subindices[0])], 255)
-        self._sync_count = 0
+        self.preset(self.tpdos, 0x180, [(self.site.index, self.site.subindices[0])], first=False)
 
-    def _nmt_changed(self, _old: int, new: int) -> None:
-        if new == OPERATIONAL:
-            self._sync_count = 0
-
-    def sync(self) -> None:
-        """Process a SYNC: sample the channels, then send the synchronous TPDOs."""
-        if self.node.state != OPERATIONAL or self.node.unpowered:
-            return
-        self._sync_count += 1
-        self._sample()
-        for tpdo in self.tpdos:
-            if due(tpdo, self._sync_count):
-                self.transmit(tpdo)
-
-    def _sample(self) -> None:
+    def latch(self) -> None:
+        """Sample the channels."""
         low, high = self.site.range_m
         least, most = LIMITS[self.site.type]
         for channel, distance in enumerate(self.measure()):
@@ -132,10 +108,6 @@ class FakeMeasuringDevice:
             self._words[channel] = min(max(round(shown / self.site.lsb_m), least), most)
             out = (ABOVE if distance > high else BELOW if distance < low else 0) if known else 0
             self._status[channel] = (NOT_VALID if out or not known else 0) | out
-
-    def transmit(self, tpdo: Pdo) -> None:
-        """Send one TPDO."""
-        self._send(can.Message(arbitration_id=tpdo.frame_id, data=tpdo.pack(), is_extended_id=False))
 
 
 def _unit(lsb_m: float) -> tuple[int, int] | None:

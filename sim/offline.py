@@ -80,24 +80,11 @@ def link_frames(chain: SimChain, q_rad: Array) -> Array:
 
 
 def statics(chain: SimChain, plant: Plant, q_rad: Array) -> Array:
-    """Torque (n, N) [Nm] that the actuators must give against gravity at true joint angles (n, N).
-
-    `tau_i = - z_i . sum_k (p_k - o_i) x m_k g` over the links and the payload that axis i carries.
-    """
-    frames = link_frames(chain, q_rad)
-    axes = np.einsum("njab,jb->nja", frames[:, :, :3, :3], chain.axis)
-    origins = frames[:, :, :3, 3]
-    masses = np.append(plant.link_mass_kg, plant.payload.mass_kg)
-    points = np.einsum("njab,jb->nja", frames[:, :, :3, :3], plant.link_com_m) + origins
-    load = frames[:, -1, :3, :3] @ plant.payload.com_m + origins[:, -1]
-    points = np.concatenate([points, load[:, None]], axis=1)
-    torque = np.zeros(frames.shape[:2])
-    for joint in range(len(chain.axis)):
-        carried = slice(joint, None)
-        arms = points[:, carried] - origins[:, joint, None]
-        moments = np.cross(arms, plant.gravity_m_s2) * masses[carried, None]
-        torque[:, joint] = -np.einsum("na,nka->n", axes[:, joint], moments)
-    return torque
+    """Torque (n, N) [Nm] that the actuators must give against gravity at true joint angles (n, N)."""
+    parameters = np.column_stack([plant.link_mass_kg, plant.link_mass_kg[:, None] * plant.link_com_m])
+    load = plant.payload
+    parameters[-1] += load.mass_kg * np.append(1.0, load.com_m)
+    return gravity_columns(chain, q_rad, plant.gravity_m_s2) @ parameters.ravel()
 
 
 def point_jacobian(chain: SimChain) -> Callable[[Array, int, Array], tuple[Array, Array]]:
@@ -116,7 +103,10 @@ def point_jacobian(chain: SimChain) -> Callable[[Array, int, Array], tuple[Array
 
 
 def gravity_columns(chain: SimChain, q_rad: Array, gravity_m_s2: Array) -> Array:
-    """Torque (n, N, 4 N) per unit of [m, hx, hy, hz] of each link at true joint angles (n, N)."""
+    """Torque (n, N, 4 N) per unit of [m, hx, hy, hz] of each link at true joint angles (n, N).
+
+    `tau_i = - z_i . sum_k (p_k - o_i) x m_k g` over the masses that axis i carries.
+    """
     frames = link_frames(chain, q_rad)
     axes = np.einsum("njab,jb->nja", frames[:, :, :3, :3], chain.axis)
     count = len(chain.axis)

@@ -7,7 +7,7 @@ stored, and both may be changed only while the PDO is switched off.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from canopen.sdo.exceptions import SdoAbortedError
 
@@ -19,6 +19,7 @@ from sim.objects import (
     STRUCT_CODES,
     UNSUPPORTED_ACCESS,
     VALUE_RANGE,
+    Address,
     Getter,
     ObjectStore,
     Setter,
@@ -26,7 +27,6 @@ from sim.objects import (
 
 MAX_ENTRIES = 8
 DISABLED = 1 << 31
-NO_RTR = 1 << 30
 EVENT_TYPES = (254, 255)
 
 
@@ -41,9 +41,9 @@ class Pdo:
     inhibit_abort : how an inhibit time is refused while the PDO exists
     """
 
-    def __init__(self, store: ObjectStore, communication: int, mapping: int, cob_id: int) -> None:
+    def __init__(self, store: ObjectStore, communication: int, mapping: int) -> None:
         self._store = store
-        self.cob_id = cob_id
+        self.cob_id = DISABLED
         self.transmission, self.inhibit_100us, self.event_ms, self.sync_start = 255, 0, 0, 0
         self.inhibit_abort = DEVICE_STATE
         self._map: list[int] = []
@@ -65,18 +65,20 @@ class Pdo:
         return self.cob_id & 0x7FF
 
     @property
-    def addresses(self) -> list[tuple[int, int]]:
+    def addresses(self) -> list[Address]:
         """Return the addresses of the mapped objects in order."""
         return [(value >> 16, value >> 8 & 0xFF) for value in self._map[: self._count]]
 
-    def preset(self, addresses: list[tuple[int, int]], transmission: int) -> None:
-        """Set the default mapping."""
-        self._map = [self._entry_value(address) for address in addresses]
+    def preset(self, addresses: Sequence[Address], transmission: int) -> None:
+        """Set the default mapping, and no times of event-driven transmission."""
+        self._map = [at << 16 | sub << 8 | 8 * self._store.find(at, sub).size_bytes for at, sub in addresses]
         self._count, self.transmission = len(addresses), transmission
+        self.inhibit_100us = self.event_ms = 0
         self.refresh()
 
-    def _entry_value(self, address: tuple[int, int]) -> int:
-        return address[0] << 16 | address[1] << 8 | 8 * self._store.find(*address).size_bytes
+    def due(self, sync_count: int) -> bool:
+        """Return whether this synchronous TPDO is sent after a SYNC, counted from 1."""
+        return self.enabled and 1 <= self.transmission <= 240 and sync_count % self.transmission == 0
 
     def _register(self, communication: int, mapping: int) -> None:
         store, entries = self._store, self._store.entries
@@ -171,11 +173,3 @@ class Pdo:
         for assign, value in zip(self.setters, self.packing.unpack_from(data), strict=True):
             if assign is not None:
                 assign(value)
-
-
-def due(pdo: Pdo, sync_count: int) -> bool:
-    """Return whether a synchronous TPDO is sent after this SYNC, counted from 1."""
-    return pdo.enabled and 1 <= pdo.transmission <= 240 and sync_count % pdo.transmission == 0
-
-
-__all__ = ["DISABLED", "EVENT_TYPES", "NO_RTR", "Pdo", "due"]

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.cellfile import ArmSpec
-from sim.engine import NUDGE, NUDGES, bullet, load_arm, usable
+from sim.engine import Engine
 from sim.friction import JointFriction
 from sim.motor import MotorAxis
 from sim.plant import Payload, Plant
 from sim.reading_effects import AMBIENT_C
 from sim.servo import TICK_S
 from sim.tuning import Coupling, coupling, coupling_at_once, servo_loops
-from sim.urdf import SimBody, SimChain, UrdfError, combine, write_chain
+from sim.urdf import SimBody, SimChain, combine
 
 Array = NDArray[np.float64]
 
@@ -53,15 +53,13 @@ class ArmWorld:
         self._zero = np.array([axis.zero_offset_rad for axis in arm.axes])
         self._limits = np.array([axis.position_limit_rad for axis in arm.axes])
         self._noise = np.random.default_rng(seed)
-        self._client = -1
         home = np.clip(0.0, self._limits[:, 0], self._limits[:, 1])
         self._q, self._qd = home.tolist(), [0.0] * len(home)
-        self._body = -1
         self._now = plant.at(0.0)
         self._refreshed_s = 0.0
         self._passive: list[float] | None = None
         self._shown = np.zeros(len(home))
-        self._load_body()
+        self._engine = self._built()
         loops = servo_loops(arm, self._masses(), plant.rotor_inertia_kg_m2)
         filters = tuple(filters_s) or (0.001,) * len(loops)
         self.axes = [MotorAxis(servo, JointFriction(seed * 8 + i), filters[i]) for i, servo in enumerate(loops)]
@@ -73,35 +71,12 @@ class ArmWorld:
 
     # ------------------------------------------------------------------------------------------------------- set-up
 
-    def _load_body(self) -> None:
-        """Build the links with the mounted load, in the present posture.
-
-        PyBullet refuses an inertia that its own rounding made unsymmetrical in the last bit; centres of gravity a few
-        picometres further out round otherwise.
-        """
-        for attempt in range(NUDGES):
-            self._build(1.0 + attempt * NUDGE)
-            if usable(self._body, self._q, self._client):
-                return
-        raise UrdfError("PyBullet refuses the inertias of the arm")
-
-    def _build(self, stretch: float) -> None:
-        """Build the links, their centres of gravity stretched by a factor.
-
-        In a fresh engine: PyBullet keeps inverse dynamics by address, and may return those of a deleted body.
-        """
-        self.close()
-        self._client = bullet.connect(bullet.DIRECT)
-        bullet.setTimeStep(TICK_S, physicsClientId=self._client)
+    def _built(self) -> Engine:
+        """Build the links with the mounted load, in the present posture."""
         self._loaded = self._now.payload
-        text = write_chain(physical_chain(self._chain, replace(self._now, link_com_m=self._now.link_com_m * stretch)))
-        self._body = load_arm(text, self._client)
-        joints = list(range(len(self._q)))
-        bullet.setJointMotorControlArray(
-            self._body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=self._client
-        )
-        for joint in joints:
-            bullet.resetJointState(self._body, joint, self._q[joint], self._qd[joint], physicsClientId=self._client)
+        engine = Engine([physical_chain(self._chain, self._now)], self._now.gravity_m_s2)
+        engine.place(self._q, self._qd)
+        return engine
 
     def _postures(self) -> list[Array]:
         low, high = self._limits.T
@@ -119,8 +94,7 @@ class ArmWorld:
 
     def _mass(self, q_rad: Sequence[float] | Array) -> Array:
         inverse = np.eye(len(self._q)) if self._coupling is None else np.linalg.inv(self._coupling)
-        mass = np.array(bullet.calculateMassMatrix(self._body, list(q_rad), physicsClientId=self._client))
-        return inverse.T @ mass @ inverse
+        return inverse.T @ self._engine.mass(q_rad) @ inverse
 
     def _tune(self) -> None:
         """Size the numerical coupling for the mounted load."""
@@ -142,7 +116,7 @@ class ArmWorld:
     def _take_over(self) -> None:
         """Hand the present plant's numbers to gears and encoders."""
         now = self._now
-        bullet.setGravity(*now.gravity_m_s2, physicsClientId=self._client)
+        self._engine.set_gravity(now.gravity_m_s2)
         shift = now.zero_offset_rad + self._zero
         shift = shift if self._coupling is None else self._coupling @ shift
         for i, axis in enumerate(self.axes):
@@ -158,9 +132,8 @@ class ArmWorld:
         """Wind the couplings up to gravity, so that the arm is at rest in its brakes from the start."""
         still = [0.0] * len(self._q)
         self._qd = still
-        gravity = bullet.calculateInverseDynamics(self._body, self._q, still, still, physicsClientId=self._client)
         self._passive = self._passive_torque()
-        need = np.array(gravity) - (self._passive or 0.0)
+        need = self._engine.needed_nm(self._q, still, still) - (self._passive or 0.0)
         angle = np.array(self._q)
         if self._coupling is not None:
             need, angle = np.linalg.solve(self._coupling.T, need), self._coupling @ angle
@@ -178,7 +151,8 @@ class ArmWorld:
         """Mount another load on the last link; an arm held by its brakes does not move."""
         self.plant = self.plant.with_payload(payload)
         self._now = self.plant.at(self.time_s)
-        self._load_body()
+        self._engine.close()
+        self._engine = self._built()
         self._tune()
         self._take_over()
         if any(axis.free for axis in self.axes):
@@ -197,8 +171,7 @@ class ArmWorld:
             ticks -= REFRESH_TICKS
 
     def _step(self, ticks: int) -> None:
-        body, client, axes = self._body, self._client, self.axes
-        joints = tuple(range(len(axes)))
+        axes = self.axes
         for axis in axes:
             axis.shown_sum_nm = 0.0
         for _ in range(ticks):
@@ -212,11 +185,7 @@ class ArmWorld:
                 forces = (np.array(forces) @ self._coupling).tolist()
             if self._passive is not None:
                 forces = [force + passive for force, passive in zip(forces, self._passive, strict=True)]
-            bullet.setJointMotorControlArray(body, joints, bullet.TORQUE_CONTROL, forces=forces, physicsClientId=client)
-            bullet.stepSimulation(physicsClientId=client)
-            states = bullet.getJointStates(body, joints, physicsClientId=client)
-            self._q = [state[0] for state in states]
-            self._qd = [state[1] for state in states]
+            self._q, self._qd = self._engine.step(forces)
         self._shown = np.array([axis.shown_sum_nm for axis in axes]) / ticks
         self.time_s += ticks * TICK_S
 
@@ -239,7 +208,8 @@ class ArmWorld:
             self._now = self.plant.at(self.time_s)
             loaded, load = self._loaded, self._now.payload
             if load.mass_kg != loaded.mass_kg or np.abs(load.com_m - loaded.com_m).max() > SHIFT_M:
-                self._load_body()
+                self._engine.close()
+                self._engine = self._built()
             self._take_over()
         if self._now.passive_torque is not None:
             self._passive = self._passive_torque()
@@ -287,17 +257,14 @@ class ArmWorld:
 
     def close(self) -> None:
         """Release the physics engine."""
-        if self._client >= 0:
-            bullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        self._engine.close()
 
 
 def physical_chain(chain: SimChain, plant: Plant) -> SimChain:
-    """The chain with the plant's inertials, the payload joined to the last link as one body; joints without limits."""
+    """The chain with the plant's inertials, the payload joined to the last link as one body."""
     inertials = zip(plant.link_mass_kg.tolist(), plant.link_com_m, plant.link_inertia_kg_m2, strict=True)
     bodies = [SimBody(*inertial) for inertial in inertials]
     load = plant.payload
     if load.mass_kg > 0.0:
         bodies[-1] = combine(bodies[-1], SimBody(load.mass_kg, load.com_m, load.inertia_kg_m2))
-    free = np.full(len(bodies), np.inf)
-    return replace(chain, bodies=tuple(bodies), lower_rad=-free, upper_rad=free, effort_nm=free, velocity_rad_s=free)
+    return replace(chain, bodies=tuple(bodies))

@@ -7,10 +7,11 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from sim.simulation import GripError, ServeOptions, Simulation, SimulationBusError, open_bus
 
@@ -36,8 +37,7 @@ def serve(cell_path: Path, options: ServeOptions, say: Callable[[str], None]) ->
     simulation = Simulation(cell_path, options)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda _number, _frame: simulation.stop())
-    reader = threading.Thread(target=_obey, args=(simulation, sys.stdin, say), name="sim-stdin", daemon=True)
-    reader.start()
+    threading.Thread(target=obey, args=(simulation, sys.stdin, say), name="sim-stdin", daemon=True).start()
     buses = ", ".join(f"{bus.interface}:{bus.channel}" for bus in simulation.specs.values())
     loads = ", ".join(simulation.loads) or "none given"
     count = sum(len(arm.drives) for arm in simulation.arms)
@@ -58,68 +58,68 @@ def _assumed(simulation: Simulation) -> str:
     return reported
 
 
-def _obey(simulation: Simulation, lines: IO[str], say: Callable[[str], None]) -> None:
-    """Lines of stdin: `payload LABEL`, `payload none`, `grip open`, `grip closed`, `quit`."""
+def obey(simulation: Simulation, lines: Iterable[str], say: Callable[[str], None]) -> None:
+    """Lines of stdin: `payload LABEL`, `payload none`, `grip open`, `grip closed`, `quit`; each is answered but `quit`.
+
+    Parameters
+    ----------
+    simulation : Simulation that is served by other threads
+    lines : what is typed
+    say : called with each answer
+    """
     for line in lines:
-        words = line.split()
-        if words == ["quit"]:
-            simulation.stop()
-        elif len(words) == 2 and words[0] == "payload":
-            try:
-                simulation.mount(words[1])
-                say(f"payload {words[1]} on the flange")
-            except KeyError:
-                known = ", ".join(["none", *simulation.loads])
-                say(f"payload {words[1]} is not known; known are {known}")
-            except ValueError as error:
-                say(str(error))
-        elif words in (["grip", "open"], ["grip", "closed"]):
-            try:
-                simulation.grip(open=words[1] == "open")
-                say(f"grippers {words[1]}")
-            except GripError as error:
-                say(str(error))
-        elif words:
-            say("not understood; say: payload LABEL, payload none, grip open, grip closed, quit")
+        match line.split():
+            case ["quit"]:
+                simulation.stop()
+            case ["payload", label]:
+                try:
+                    simulation.mount(label)
+                    say(f"payload {label} on the flange")
+                except KeyError:
+                    say(f"payload {label} is not known; known are {', '.join(['none', *simulation.loads])}")
+                except ValueError as error:
+                    say(str(error))
+            case ["grip", "open" | "closed" as to]:
+                try:
+                    simulation.grip(open=to == "open")
+                    say(f"grippers {to}")
+                except GripError as error:
+                    say(str(error))
+            case []:
+                pass
+            case _:
+                say("not understood; say: payload LABEL, payload none, grip open, grip closed, quit")
 
 
 # -------------------------------------------------------------------------------------------------------- for tests
 
 
+@dataclass(frozen=True, slots=True)
 class RunningSimulation:
     """Handle of drives that run.
 
     Attributes
     ----------
     bus : what a master has to open, INTERFACE:CHANNEL[,key=value]...
+    ask : called with a line of stdin, returns the answer to it
+    ready : line of a process that is ready
     simulation : the simulation itself where it runs in this process, else None
     """
 
-    def __init__(self, bus: str, simulation: Simulation | None, process: subprocess.Popen[str] | None) -> None:
-        self.bus, self.simulation, self._process = bus, simulation, process
+    bus: str
+    ask: Callable[[str], str]
+    ready: str = READY
+    simulation: Simulation | None = None
 
     def grip(self, open: bool) -> None:
         """Open or close the grippers of a pair; returns when they are."""
-        if self.simulation is not None:
-            self.simulation.grip(open)
-            return
-        answer = self._ask(f"grip {'open' if open else 'closed'}")
+        answer = self.ask(f"grip {'open' if open else 'closed'}")
         if not answer.startswith("grippers"):
             raise GripError(answer)
 
-    def _ask(self, line: str) -> str:
-        if self._process is None or self._process.stdin is None or self._process.stdout is None:
-            raise RuntimeError("the simulator cannot be spoken to")
-        self._process.stdin.write(line + "\n")
-        self._process.stdin.flush()
-        return self._process.stdout.readline().strip()
-
     def mount(self, label: str) -> None:
         """Mount a load on the flange; return when it is mounted."""
-        if self.simulation is not None:
-            self.simulation.mount(label)
-            return
-        answer = self._ask(f"payload {label}")
+        answer = self.ask(f"payload {label}")
         if "on the flange" not in answer:
             raise KeyError(answer)
 
@@ -144,9 +144,15 @@ def running(cell_path: Path, bus: str | None = None, **options: Any) -> Generato
 def _in_thread(cell_path: Path, options: ServeOptions) -> Generator[RunningSimulation]:
     simulation = Simulation(cell_path, options)
     thread = threading.Thread(target=simulation.run, name="sim-drives")
+
+    def ask(line: str) -> str:
+        said: list[str] = []
+        obey(simulation, [line], said.append)
+        return "".join(said)
+
     thread.start()
     try:
-        yield RunningSimulation(options.bus or "", simulation, None)
+        yield RunningSimulation(options.bus or "", ask, simulation=simulation)
     finally:
         simulation.stop()
         thread.join()
@@ -154,23 +160,15 @@ def _in_thread(cell_path: Path, options: ServeOptions) -> Generator[RunningSimul
 
 
 def command(cell_path: Path, options: ServeOptions) -> list[str]:
-    """Command line of `servo-sim serve` with the same options."""
+    """Command line of `servo-sim serve` with the same options, but for the seed of the noise."""
     words = [sys.executable, "-m", "sim", "serve", str(cell_path)]
-    pairs: Mapping[str, object] = {
-        "--bus": options.bus,
-        "--payload": options.payload,
-        "--undeclared": options.undeclared,
-        "--seed": options.seed,
-        "--truth": options.truth,
-        "--pacing": options.pacing,
-        "--timing": options.timing,
-    }
-    for key, value in pairs.items():
-        if value is not None:
-            words += [key, str(value)]
-    for wanted in options.fault:
-        words += ["--fault", str(wanted)]
-    return [*words, "--unbuffered"] if options.unbuffered else words
+    for key, value in asdict(replace(options, noise_seed=None)).items():
+        for one in value if isinstance(value, tuple) else (value,):
+            if one is True:
+                words.append(f"--{key}")
+            elif one is not None and one is not False:
+                words += [f"--{key}", str(one)]
+    return words
 
 
 @contextmanager
@@ -178,9 +176,16 @@ def _in_process(cell_path: Path, options: ServeOptions) -> Generator[RunningSimu
     process = subprocess.Popen(
         command(cell_path, options), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+
+    def ask(line: str) -> str:
+        if process.stdin is None or process.stdout is None:
+            raise RuntimeError("the simulator cannot be spoken to")
+        process.stdin.write(line + "\n")
+        process.stdin.flush()
+        return process.stdout.readline().strip()
+
     try:
-        wait_until_ready(process)
-        yield RunningSimulation(options.bus or "", None, process)
+        yield RunningSimulation(options.bus or "", ask, wait_until_ready(process).rstrip())
     finally:
         process.terminate()
         try:

@@ -14,19 +14,19 @@ import gc
 import select
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import can
 import canopen
 import numpy as np
 
-from sim.cellfile import ArmSpec
+from sim.cellfile import ArmSpec, AxisSpec
 from sim.fake_drive import FakeDrive
 from sim.measuring import FakeMeasuringDevice
 from sim.node import SlaveNode
-from sim.pdo import Pdo
 from sim.physics import ArmWorld
 from sim.plant import Payload, Plant
 from sim.servo import TICK_S
@@ -43,49 +43,91 @@ OLDEST_FRAME_S = 5.0
 ABANDONED_S = 10.0
 
 
-class ArmUnit:
-    """One arm: its physics and its drives.
+class Unit(ABC):
+    """One arm on its bus: drives, and the physics that moves their motors.
 
-    Attributes
+    Parameters
     ----------
     name : of the arm
     world : physics
+    drives : node id, axis and motor of each drive
+    sync_period_s : of the bus
+    limited : the drives have software position limits
+
+    Attributes
+    ----------
+    name, world : as given
     drives : in the order of the cell's axes
     instruments : measuring devices on the same bus
+    send : sends a frame on the bus
     """
 
-    real_step_s = REAL_STEP_S
-
-    def __init__(self, arm: ArmSpec, plant: Plant, sync_period_s: float, seed: int) -> None:
-        self.name = arm.name
-        filters = tuple(float(axis.profile["torque"].get("filter_s", 0.0)) for axis in arm.axes)
-        self.world = ArmWorld(arm, plant, seed, filters)
-        self._joints = [int(joint) for joint in plant.drive_joint]
-        self._rest_s = 0.0
+    def __init__(
+        self,
+        name: str,
+        world: Any,
+        drives: Iterable[tuple[int, AxisSpec, Any]],
+        sync_period_s: float,
+        limited: bool = True,
+    ) -> None:
+        self.name, self.world = name, world
         self.send: Callable[[can.Message], None] = lambda _message: None
         self.instruments: list[FakeMeasuringDevice] = []
-        coupled = not np.array_equal(arm.coupling, np.eye(len(arm.axes)))
-        self.drives = [
-            FakeDrive(
-                arm.axes[axis].node_id, arm.axes[joint], self.world.axes[joint], sync_period_s, self._send, not coupled
-            )
-            for axis, joint in enumerate(self._joints)
-        ]
-        self._measure()
+        self.drives = [FakeDrive(*drive, sync_period_s, self.put, limited) for drive in drives]
+        self.measure()
 
-    def _send(self, message: can.Message) -> None:
+    def put(self, message: can.Message) -> None:
+        """Send a frame of a device."""
         self.send(message)
 
-    def _measure(self) -> None:
-        reading = self.world.reading_nm().tolist()
-        for drive, joint in zip(self.drives, self._joints, strict=True):
-            drive.reading_nm = reading[joint]
+    @abstractmethod
+    def readings_nm(self) -> list[float]:
+        """Return the motor torque that each drive measures, gear output side [Nm]."""
+
+    @abstractmethod
+    def advance(self, seconds: float) -> None:
+        """Advance simulated time."""
+
+    def measure(self) -> None:
+        """Hand one reading to each drive."""
+        for drive, reading in zip(self.drives, self.readings_nm(), strict=True):
+            drive.reading_nm = reading
 
     def sync(self) -> None:
         """Process a SYNC: apply the setpoints, then send the synchronous TPDOs."""
-        self._measure()
+        self.measure()
+        for device in (*self.drives, *self.instruments):
+            device.sync()
+
+    def plan(self, ticks: float) -> None:
+        """Let the drives set their references for the milliseconds to come."""
         for drive in self.drives:
-            drive.sync()
+            drive.motion.plan(ticks)
+
+    def advanced(self, time_s: float) -> None:
+        """Let the drives monitor what happened until `time_s`."""
+        for drive in self.drives:
+            drive.advanced(time_s)
+
+
+class ArmUnit(Unit):
+    """One arm alone, as its plant describes it."""
+
+    def __init__(self, arm: ArmSpec, plant: Plant, sync_period_s: float, seed: int) -> None:
+        world = ArmWorld(arm, plant, seed, [float(axis.profile["torque"].get("filter_s", 0.0)) for axis in arm.axes])
+        self._joints = [int(joint) for joint in plant.drive_joint]
+        self._rest_s = 0.0
+        coupled = not np.array_equal(arm.coupling, np.eye(len(arm.axes)))
+        drives = [
+            (axis.node_id, arm.axes[joint], world.axes[joint])
+            for axis, joint in zip(arm.axes, self._joints, strict=True)
+        ]
+        super().__init__(arm.name, world, drives, sync_period_s, not coupled)
+
+    def readings_nm(self) -> list[float]:
+        """Return what each drive measures of the joint that it is bolted to."""
+        reading = self.world.reading_nm().tolist()
+        return [reading[joint] for joint in self._joints]
 
     def advance(self, seconds: float) -> None:
         """Advance simulated time; a fraction of a millisecond is carried over to the next call."""
@@ -94,12 +136,9 @@ class ArmUnit:
         if ticks <= 0:
             return
         self._rest_s -= ticks * TICK_S
-        for drive in self.drives:
-            drive.motion.plan(ticks)
+        self.plan(ticks)
         self.world.advance(ticks)
-        now = self.world.time_s
-        for drive in self.drives:
-            drive.advanced(now)
+        self.advanced(self.world.time_s)
 
 
 class BusServer:
@@ -116,7 +155,7 @@ class BusServer:
     latest_s : in real time, longest delay of this process [s]
     """
 
-    def __init__(self, bus: Any, arms: Sequence[ArmUnit], sync_period_s: float, pacing: str) -> None:
+    def __init__(self, bus: Any, arms: Sequence[Unit], sync_period_s: float, pacing: str) -> None:
         self.bus, self.arms = bus, tuple(arms)
         self._born_s = tuple(arm.drives[0].motion.period_s() for arm in self.arms)
         self.sync_count, self.latest_s = 0, 0.0
@@ -154,7 +193,7 @@ class BusServer:
             pdo.frame_id: (drive, number)
             for drive in self.drives
             for number, pdo in enumerate(drive.rpdos)
-            if _listens(pdo)
+            if pdo.enabled
         }
 
     # ----------------------------------------------------------------------------------------------------- the loop
@@ -163,7 +202,7 @@ class BusServer:
         """Schedule a call in the serving thread between two frames."""
         self._jobs.append(job)
 
-    def mount(self, arm: ArmUnit, payload: Payload) -> None:
+    def mount(self, arm: Unit, payload: Payload) -> None:
         """Mount a load on an arm's flange; return when it is mounted (call from another thread than the server's)."""
         done = threading.Event()
 
@@ -205,7 +244,7 @@ class BusServer:
     @property
     def step_s(self) -> float:
         """Return the longest wait for frames before periodic work [s]."""
-        return min(arm.real_step_s for arm in self.arms) if self._real else IDLE_S
+        return REAL_STEP_S if self._real else IDLE_S
 
     @property
     def stopped(self) -> bool:
@@ -262,12 +301,9 @@ class BusServer:
         elif identifier > HEARTBEAT_ID and not message.is_remote_frame:
             for drive in self.drives:
                 if drive.node_id != identifier - HEARTBEAT_ID:
-                    drive.node.note_heartbeat(identifier - HEARTBEAT_ID, self._time_s(drive))
+                    drive.node.note_heartbeat(identifier - HEARTBEAT_ID, drive.time_s)
         elif identifier not in range(0x081, 0x580) and not message.is_remote_frame:
             self._network.notify(identifier, message.data, message.timestamp)
-
-    def _time_s(self, drive: FakeDrive) -> float:
-        return next(arm.world.time_s for arm in self.arms if drive in arm.drives)
 
     def _sync(self) -> None:
         self.sync_count += 1
@@ -353,7 +389,3 @@ def came_s(message: can.Message) -> float:
     """Return the monotonic time at which a frame was received [s]."""
     now, age = time.monotonic(), time.time() - message.timestamp
     return now - age if 0.0 < age < OLDEST_FRAME_S else now
-
-
-def _listens(pdo: Pdo) -> bool:
-    return pdo.enabled

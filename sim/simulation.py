@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,18 +13,17 @@ from typing import Any, cast
 import can
 
 from sim.build_errors import with_build_errors
-from sim.cellfile import CellBus, CellFileError, CellSpec, parse_bus_spec, read_cell, read_payloads, read_toml
+from sim.cellfile import PACINGS, CellBus, CellFileError, CellSpec, parse_bus_spec, read_cell, read_payloads, read_toml
 from sim.effects import apply_effects
 from sim.fault import Fault
 from sim.faults import KINDS, FaultError, act, read_faults
 from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
 from sim.offline import point_jacobian
-from sim.pacing import PACINGS
 from sim.pair.cell import PairOptions, pair_units
-from sim.pair.unit import PairUnit
+from sim.pair.two_arms import TwoArms
 from sim.plant import Payload
-from sim.server import ArmUnit, BusServer, can_be_waited_for, serve_together
+from sim.server import ArmUnit, BusServer, Unit, can_be_waited_for, serve_together
 from sim.timing_record import TimingRecord
 from sim.undeclared import draw_undeclared
 from sim.wire_faults import FaultyWire
@@ -91,11 +91,8 @@ class Simulation:
         self._options = options
         faults = [fault for wanted in options.fault for fault in read_faults(wanted)]
         _check_nodes(faults, self.cell)
+        self._pair: TwoArms | None = None
         units = self._units(pair or PairOptions(options.seed))
-        reported: list[Any] = [
-            unit.world.undeclared for unit in list[Any](units.values()) if isinstance(unit, PairUnit)
-        ]
-        self._pair_truth = {"pair": reported[0]} if reported else {}
         self.specs = _bus_specs(self.cell, options.bus)
         self.servers: list[BusServer] = []
         if options.truth is not None:
@@ -111,10 +108,12 @@ class Simulation:
             for drive in server.drives:
                 drive.motion.buffered = False
 
-    def _units(self, pair: PairOptions) -> dict[str, ArmUnit]:
-        if self.cell.pair is not None:
-            return cast("dict[str, ArmUnit]", pair_units(self.cell, pair))
-        return {arm.name: self._unit(index) for index, arm in enumerate(self.cell.arms)}
+    def _units(self, pair: PairOptions) -> Mapping[str, Unit]:
+        if self.cell.pair is None:
+            return {arm.name: self._unit(index) for index, arm in enumerate(self.cell.arms)}
+        units = pair_units(self.cell, pair)
+        self._pair = next(iter(units.values())).world
+        return units
 
     def _unit(self, index: int) -> ArmUnit:
         arm = self.cell.arms[index]
@@ -133,7 +132,7 @@ class Simulation:
         return ArmUnit(arm, plant, self.cell.buses[arm.bus].sync_period_s, noise)
 
     @property
-    def arms(self) -> list[ArmUnit]:
+    def arms(self) -> list[Unit]:
         """All arms, in the order of the cell file."""
         found = {arm.name: arm for server in self.servers for arm in server.arms}
         return [found[arm.name] for arm in self.cell.arms]
@@ -144,9 +143,10 @@ class Simulation:
             {"label": load.label, "mass_kg": load.mass_kg, "com_m": [float(value) for value in load.com_m]}
             for load in self.loads.values()
         ]
-        return {"loads": loads, "effects": self.effects} | self._pair_truth
+        drawn = {} if self._pair is None else {"pair": self._pair.undeclared}
+        return {"loads": loads, "effects": self.effects} | drawn
 
-    def mount(self, label: str, arm: str | None = None) -> None:
+    def mount(self, label: str) -> None:
         """Mount a load on the flange (`none`: remove it); return when it is mounted. Call from outside the servers.
 
         `load` is an alias of the only load of the file.
@@ -161,10 +161,9 @@ class Simulation:
         payload = Payload() if label == "none" else self.loads[label]
         for server in self.servers:
             for unit in server.arms:
-                if arm in (None, unit.name) and isinstance(unit, PairUnit):
-                    unit.mount(payload)
-                elif arm in (None, unit.name):
-                    server.mount(unit, payload)
+                if self._pair is not None:
+                    raise ValueError(f"arm {unit.name} holds the workpiece; load {label} cannot be mounted on it")
+                server.mount(unit, payload)
 
     def grip(self, open: bool) -> None:
         """Open or close both grippers of a pair; closing grips the part afresh, free of force, where the hands are.
@@ -173,12 +172,11 @@ class Simulation:
         ------
         GripError : there is no pair, or it holds no part
         """
-        worlds = [unit.world for unit in list[Any](self.arms) if isinstance(unit, PairUnit)]
-        if not worlds:
+        if self._pair is None:
             raise GripError(f"cell {self.cell.name} has no pair; there are no grippers")
-        if not worlds[0].touching:
+        if not self._pair.touching:
             raise GripError(f"the hands of cell {self.cell.name} keep a distance; there is no part to grip")
-        worlds[0].open_grippers() if open else worlds[0].close_grippers()
+        self._pair.open_grippers() if open else self._pair.close_grippers()
 
     def stop(self) -> None:
         """End all servers."""
@@ -272,7 +270,7 @@ def _check_nodes(faults: list[Fault], cell: CellSpec) -> None:
             raise FaultError(f"fault '{fault.kind}': no drive has node {fault.node} (drives: {nodes})")
 
 
-def _server(spec: CellBus, arms: list[ArmUnit], faults: list[Fault], opened: ExitStack) -> BusServer:
+def _server(spec: CellBus, arms: list[Unit], faults: list[Fault], opened: ExitStack) -> BusServer:
     bus: Any = open_bus(spec)
     opened.callback(bus.shutdown)
     if not faults:

@@ -14,7 +14,7 @@ from typing import Any
 import can
 import numpy as np
 
-from sim.server import ArmUnit, BusServer, came_s
+from sim.server import BusServer, Unit, came_s
 
 
 class TimingRecord:
@@ -46,7 +46,7 @@ class TimingRecord:
             unit.send = sent
             self._observe(unit)
 
-    def _observe(self, unit: ArmUnit) -> None:
+    def _observe(self, unit: Unit) -> None:
         advance = unit.advance
 
         def observed(seconds: float) -> None:

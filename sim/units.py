@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from sim.cellfile import AxisSpec, CellFileError
-from sim.makes import as_its_make_counts
-from sim.scaled_objects import Address, DriveUnits, Word
+from sim.makes import MAKES, RESOLUTION, DriveUnits, Word
+from sim.objects import Address
 
 Table = Mapping[str, Any]
 
@@ -20,7 +20,6 @@ Table = Mapping[str, Any]
 OVERLOAD = 3.0
 #: Power-on value of 0x6072 and 0x6073: a quarter above the peak that the cell allows.
 MAX_TORQUE_PER_MILLE = 3750
-COUNTS_PER_REVOLUTION = 131072
 
 
 def drive_units(axis: AxisSpec) -> DriveUnits:
@@ -32,7 +31,9 @@ def drive_units(axis: AxisSpec) -> DriveUnits:
     """
     profile = axis.profile
     try:
-        return as_its_make_counts(str(profile.get("name")), axis, _units(axis, profile))
+        units = _units(axis, profile)
+        make = MAKES.get(str(profile.get("name")))
+        return units if make is None else make(axis, units)
     except (KeyError, TypeError) as error:
         raise CellFileError(
             f"drive profile '{profile.get('name')}': {error} is missing or of the wrong kind."
@@ -69,10 +70,13 @@ def _units(axis: AxisSpec, profile: Table) -> DriveUnits:
     )
 
 
+def named_object(target: Table) -> tuple[Address, str]:
+    """Return address and data type of an object that a profile names."""
+    return (int(target["index"]), int(target.get("subindex", 0))), str(target["type"])
+
+
 def _signal(signal: Table, kt: float, torque_nm: float, constants: dict[Address, tuple[str, int]]) -> Word:
-    target = signal["object"]
-    address = (int(target["index"]), int(target.get("subindex", 0)))
-    return Word(address, str(target["type"]), _bits_per_nm(signal, kt, torque_nm, constants))
+    return Word(*named_object(signal["object"]), _bits_per_nm(signal, kt, torque_nm, constants))
 
 
 def _bits_per_nm(signal: Table, kt: float, torque_nm: float, constants: dict[Address, tuple[str, int]]) -> float:
@@ -103,9 +107,10 @@ def _rated(entry: Table, natural: float, constants: dict[Address, tuple[str, int
     """Rated value in Nm or in the drive's ampere: the profile's own, else the motor's, shown in the object it names."""
     if "value" in entry:
         return float(entry["value"])
-    unit, target = float(entry["unit"]), entry["object"]
+    unit = float(entry["unit"])
     raw = max(1, round(natural / unit))
-    constants[(int(target["index"]), int(target.get("subindex", 0)))] = (str(target["type"]), raw)
+    address, type_ = named_object(entry["object"])
+    constants[address] = (type_, raw)
     return raw * unit
 
 
@@ -115,21 +120,19 @@ def _counts(entry: Table, constants: dict[Address, tuple[str, int]]) -> float:
         constants[(0x608F, 1)] = ("u32", round(counts))
         constants[(0x608F, 2)] = ("u32", 1)
         return counts
-    for key, raw in (("object", COUNTS_PER_REVOLUTION), ("per", 1)):
-        if key not in entry:
-            continue
-        target = entry[key]
-        constants[(int(target["index"]), int(target.get("subindex", 0)))] = (str(target["type"]), raw)
-    return float(COUNTS_PER_REVOLUTION)
+    for key, raw in (("object", RESOLUTION), ("per", 1)):
+        if key in entry:
+            address, type_ = named_object(entry[key])
+            constants[address] = (type_, raw)
+    return float(RESOLUTION)
 
 
 def _velocity(profile: Table, counts: float) -> Word:
     entry = profile.get("velocity")
     if entry is None:
         return Word((0x606C, 0), "i32", counts / (2.0 * math.pi))
-    target = entry["object"]
-    address = (int(target["index"]), int(target.get("subindex", 0)))
     if "unit_counts_s" in entry:
-        per_bit = float(entry["unit_counts_s"]["value"])
-        return Word(address, str(target["type"]), counts / (2.0 * math.pi * per_bit))
-    return Word(address, str(target["type"]), 1.0 / float(entry["unit_rad_s"]["value"]))
+        bits = counts / (2.0 * math.pi * float(entry["unit_counts_s"]["value"]))
+    else:
+        bits = 1.0 / float(entry["unit_rad_s"]["value"])
+    return Word(*named_object(entry["object"]), bits)

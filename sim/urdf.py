@@ -59,16 +59,39 @@ class SimChain:
     velocity_rad_s: Array
 
 
+def translation(x: float, y: float, z: float) -> Array:
+    """Pose (4, 4) moved by x, y, z [m]."""
+    result = np.eye(4)
+    result[:3, 3] = x, y, z
+    return result
+
+
+def turn(axis: str, angle_rad: Array | float) -> Array:
+    """Pose (..., 4, 4) turned about an axis of the frame, "x", "y" or "z", by an angle [rad]."""
+    angle = np.asarray(angle_rad, dtype=float)
+    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    result = np.zeros((*angle.shape, 4, 4))
+    result[..., range(4), range(4)] = 1.0
+    result[..., first, first] = result[..., second, second] = np.cos(angle)
+    result[..., second, first] = np.sin(angle)
+    result[..., first, second] = -np.sin(angle)
+    return result
+
+
+def turn_about(vector_rad: Array) -> Array:
+    """Rotation (3, 3) by the length of a vector (3,) [rad] about its direction; Rodrigues' formula."""
+    angle = float(np.linalg.norm(vector_rad))
+    if angle < 1e-15:
+        return np.eye(3)
+    x, y, z = vector_rad / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+
+
 def rotation_rpy(rpy_rad: Sequence[float] | Array) -> Array:
     """Rotation matrix of roll, pitch, yaw about the fixed axes x, y, z (URDF convention), shape (3, 3)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    roll, pitch, yaw = rpy_rad
+    return (turn("z", yaw) @ turn("y", pitch) @ turn("x", roll))[:3, :3]
 
 
 def rpy_of(rotation: Array) -> tuple[float, float, float]:

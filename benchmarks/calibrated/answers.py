@@ -15,6 +15,7 @@ from benchmarks.calibrated.nature import (
     draw,
     excitation,
     in_motion,
+    missing_torque,
     occasion_gain,
     place_torques,
     poses,
@@ -41,7 +42,7 @@ def answer_of(task: tuple[int, str]) -> dict:
         return {"seed": seed, "condition": name} | _deviation(*next_load(seed, condition.poses, condition.gain_std))
     cell = draw(seed, condition.gain_std)
     q_rad, motion = poses(cell, condition.poses), excitation(cell)
-    place_nm = place_torques(cell, condition.poses, condition.repeats)
+    place_nm = place_torques(cell, condition.poses, condition.repeats) + missing_torque(cell, condition.missing, q_rad)
     rows: list[dict] = []
     occasions = [("none", k) for k in range(condition.unloaded)] + [("tool", k) for k in range(condition.loaded)]
     for number, (load, k) in enumerate(sorted(occasions, key=lambda entry: entry[1])):

@@ -18,6 +18,7 @@ class Condition:
     repeats : visits of every pose
     paired : whether the k-th recordings of both loads have one name
     poses : number of rest poses
+    missing : torque that no model of the product has (`nature.missing_torque`), "" = none
     """
 
     unloaded: int = 1
@@ -28,6 +29,7 @@ class Condition:
     repeats: int = 1
     paired: bool = False
     poses: int = 12
+    missing: str = ""
 
 
 CONDITIONS = {
@@ -39,5 +41,10 @@ CONDITIONS = {
     "rest with motion": Condition(kind="both", gain_std=0.003, poses=8),
     "difference": Condition(method="difference"),
     "repeats": Condition(gain_std=0.003, repeats=4, poses=6),
+    "constants 3 %": Condition(gain_std=0.03),
+    "constants 3 %, cogging": Condition(gain_std=0.03, missing="cogging"),
+    "constants 3 %, cables on J4 and J5": Condition(gain_std=0.03, missing="cables"),
+    "constants 3 %, spring on J2": Condition(gain_std=0.03, missing="spring"),
+    "constants 3 %, no name on J2 and J3": Condition(gain_std=0.03, missing="unnamed"),
     "calibration and next load": Condition(kind="next load", gain_std=0.03),
 }

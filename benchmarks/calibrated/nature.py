@@ -44,13 +44,14 @@ class CalibratedArm:
     arm : links as they are and as the URDF states them
     load : (4,) mass [kg] and centre [m] in the last link
     gain : (6,) error of the torque constants
-    band_nm, viscous_nm_s_rad, rotor_kg_m2, offset_nm, loss : (6,)
+    gravity_nm, band_nm, viscous_nm_s_rad, rotor_kg_m2, offset_nm, loss : (6,), the first as root mean square
     """
 
     rng: np.random.Generator
     arm: RatedArm
     load: Floats
     gain: Floats
+    gravity_nm: Floats
     band_nm: Floats
     viscous_nm_s_rad: Floats
     rotor_kg_m2: Floats
@@ -86,6 +87,7 @@ def draw(seed: int, gain_std: float) -> CalibratedArm:
         arm=arm,
         load=load,
         gain=gain_std * (np.sqrt(COMMON_SHARE) * common + np.sqrt(1.0 - COMMON_SHARE) * single) + uneven,
+        gravity_nm=size,
         band_nm=band,
         viscous_nm_s_rad=band * rng.uniform(0.2, 1.0, AXES),
         rotor_kg_m2=band * rng.uniform(0.01, 0.05, AXES),
@@ -107,6 +109,34 @@ def place_torques(cell: CalibratedArm, count: int, repeats: int) -> Floats:
     """
     scale = VISIT_SCATTER / np.sqrt(2.0) if repeats > 1 else 0.0
     return scale * cell.band_nm * cell.rng.standard_normal((count, AXES))
+
+
+def missing_torque(cell: CalibratedArm, kind: str, q_rad: Floats) -> Floats:
+    """Torque (n, 6) [Nm] at poses (n, 6), the same under every load, that no model of the product has.
+
+    Parameters
+    ----------
+    cell : CalibratedArm
+    kind : str
+        "" = none. "cogging": ripple of 15 % of the band on every axis. "cables": a smooth torque of about one band on
+        J4 and J5. "spring": on J2, in phase with a link. "unnamed": sin(2 q2) on J2 and steps on J3.
+    q_rad : array of shape (n, 6)
+    """
+    torque, rng, band = np.zeros_like(q_rad), cell.rng, cell.band_nm
+    if kind == "cogging":
+        periods = 2 * np.array([101, 121, 101, 81, 81, 101])
+        torque = 0.15 * np.sqrt(2.0) * band * np.sin(periods * q_rad + rng.uniform(0.0, 2.0 * np.pi, AXES))
+    elif kind == "cables":
+        size, phase = rng.standard_normal((3, 2)), rng.uniform(0.0, 2.0 * np.pi, (2, 2))
+        angle = q_rad[:, 3:5]
+        waves = size[1] * np.sin(angle + phase[0]) + size[2] * np.cos(angle + phase[1])
+        torque[:, 3:5] = 0.7 * band[3:5] * (size[0] * angle / 2.0 + waves)
+    elif kind == "spring":
+        torque[:, 1] = rng.choice([-1.0, 1.0]) * 0.36 * cell.gravity_nm[1] * np.cos(q_rad[:, 1])
+    elif kind == "unnamed":
+        torque[:, 1] = 2.5 * band[1] * np.sin(2.0 * q_rad[:, 1] + 0.6)
+        torque[:, 2] = 1.5 * band[2] * np.sign(np.sin(3.0 * q_rad[:, 2]))
+    return torque
 
 
 def at_rest(

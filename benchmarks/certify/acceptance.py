@@ -73,7 +73,7 @@ def accepted_arm(seed: int) -> dict:
 
 def chosen_poses(cell: Path, result: Path) -> tuple[Floats, float]:
     """Poses (n, 6) that the design of `accept` asks for, paths between them not planned, and the expected std."""
-    from gateway.acquire.acceptance_plan import MOST_POSES, workspace_postures
+    from gateway.acquire.planning import MOST_POSES, workspace_postures
     from gateway.acquire.poses import DISTANCE_RAD
     from gateway.identify.workspace_error import error_families, fewest_poses
     from gateway.identify.workspace_error import resolution as expected

@@ -21,7 +21,6 @@ from benchmarks.chaos.judging import held_up
 from benchmarks.chaos.rig import Drives, adapters
 from benchmarks.chaos.scenarios import TRIES, short_plan
 from drives.bus import SDO_ANSWER_BASE, BusSpec
-from drives.group import DriveGroup
 from drives.realtime import RealTime
 from gateway.acquire.events import Started
 from gateway.acquire.run_loop import Run, rest_visits
@@ -63,9 +62,8 @@ class Broken:
         self._adapter = adapter
         return self
 
-    def begin_in(self, syncs: int, group: DriveGroup) -> None:
-        begins = group.sync_index + syncs
-        self._on = lambda: group.sync_index >= begins
+    def begin_where(self, has_begun: Callable[[], bool]) -> None:
+        self._on = has_begun
 
     def send(self, frame: Any, timeout: float | None = None) -> None:
         if self._kind == "adapter unplugged" and self._on():
@@ -93,7 +91,7 @@ class Broken:
 
     def shutdown(self) -> None:
         self._adapter.shutdown()
-        if self._kind == "adapter unplugged":
+        if self._kind == "adapter unplugged" and self._on():
             raise OSError(5, "Input/output error")
 
 
@@ -128,7 +126,8 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
 
                     def listen(event: object) -> None:
                         if isinstance(event, Started):
-                            broken.begin_in(rng.randint(*BEGINS), opened.group)
+                            begins = opened.group.sync_index + rng.randint(*BEGINS)
+                            broken.begin_where(lambda: opened.group.sync_index >= begins)
                         if kind == "frozen terminal":
                             for _ in range(20):
                                 session.note(f"{event} {'-' * 200}")

@@ -245,8 +245,8 @@ LOOKS: dict[str, Callable[[OpenArm], str]] = {
     "heartbeat_ignored": lambda opened: _failing(prove_stop(opened).items),
     "brake_falls": lambda opened: _failing(try_brakes(opened, MoveOptions())),
     "slow_brake": lambda opened: _failing(try_brakes(opened, MoveOptions())),
-    "demand_torque": lambda opened: _failing(check_moves(opened).items),
-    "unsigned_torque": lambda opened: _failing(check_moves(opened).items),
+    "demand_torque": lambda opened: _failing(check_moves(opened)),
+    "unsigned_torque": lambda opened: _failing(check_moves(opened)),
 }
 
 

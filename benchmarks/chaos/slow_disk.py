@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -32,16 +33,10 @@ TRIES = 4
 COMPLETE = "all poses measured"
 
 
-@dataclass(frozen=True, slots=True)
-class SlowWrite:
-    """Puts content in the place of a file, as a disk does that has other things to do; takes `write_s` longer."""
-
-    write_s: float
-
-    def __call__(self, path: Path, content: bytes) -> None:
-        """Write."""
-        time.sleep(self.write_s)
-        write_recording(path, content)
+def slow_write(write_s: float, path: Path, content: bytes) -> None:
+    """Put content in the place of a file, as a disk does that has other things to do; takes `write_s` longer."""
+    time.sleep(write_s)
+    write_recording(path, content)
 
 
 @dataclass(slots=True)
@@ -140,7 +135,7 @@ def _record(folder: Path, bus: str, how: tuple[float, int, int], pipe: Connectio
     most: list[int] = [0]
 
     def queue(*arguments: Any) -> VisitQueue:
-        counted.append(VisitQueue(*arguments, capacity=capacity, write=SlowWrite(write_s)))
+        counted.append(VisitQueue(*arguments, capacity=capacity, write=partial(slow_write, write_s)))
         return counted[-1]
 
     def notify(event: Event) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.figure import conclude, figure
 from gateway.cell.config import load_cell
-from gateway.follow.job import prepare
+from gateway.follow.settings import prepare
 from gateway.result.follow import FedTrend, FollowResult, read_follow
 from tests.support.follow import rig
 

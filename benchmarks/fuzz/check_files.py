@@ -15,8 +15,7 @@ from benchmarks.fuzz.guard import bounded
 from benchmarks.fuzz.mutate import damaged, edited
 from drives.errors import ConfigurationRefused, ProfileError
 from drives.ledger import WriteLedger
-from drives.profile_check import check_eds
-from drives.profile_file import PROFILE_FOLDER, load_profile, parse_profile
+from drives.profile_file import PROFILE_FOLDER, check_eds, load_profile, parse_profile
 from gateway.cell.config import load_cell
 from gateway.data.table import read_csv
 from gateway.errors import ConfigError, InputError

@@ -15,7 +15,7 @@ from gateway.live.drawing import shown_arm
 from gateway.live.feed import Feed
 from gateway.live.wire import ALIVE, ASK, MOST_BYTES, ShownCell, pair_of_sockets
 from gateway.model.arm_model import arm_robot
-from gateway.motion.observer import Observers
+from gateway.motion.observer import Observed, Observers
 from gateway.motion.state import StateTracker
 from gateway.motion.stops import StopDesk
 from gateway.motion.workspace import workspace_of
@@ -41,7 +41,8 @@ def figures(cell: Path = SMALL / "cell.toml") -> dict[str, dict]:
             readings = tuple(DriveReading(n, sync, 0x1237, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0) for n in range(1, 7))
             sample = ArmSample(sync, now_s, q_rad, torque_nm, readings)
             began = time.perf_counter_ns()
-            observers.sampled((sample,), (q_rad,), (torque_nm,))
+            observed = Observed((sample,), (q_rad,), (torque_nm,))
+            observers.notify(lambda observer, observed=observed: observer.sampled(observed))
             desk.look()
             spent_us.append(1e-3 * (time.perf_counter_ns() - began))
             while there.recv(MOST_BYTES) == ASK:

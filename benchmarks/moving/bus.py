@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.moving.scores import AXIS_NAMES, LOAD_NAMES, Truth, score
 from benchmarks.nature.moving_arm import box_inertia
-from gateway.acquire.moving import record_moving
-from gateway.acquire.session import RecordRequest
+from gateway.acquire.session import RecordRequest, record_moving
 from gateway.cell.config import load_cell
 from gateway.cli import main
 from gateway.excite.excitation import MovingPlan

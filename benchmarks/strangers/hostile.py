@@ -94,9 +94,9 @@ def urdf() -> tuple[str, list[bytes], Callable[[Path], Any]]:
 
 
 def data_sheet() -> tuple[str, list[bytes], Callable[[Path], Any]]:
-    from drives.configuration.dcf import read_data_sheet
+    from drives.datasheet.building import read_sheet
 
-    return "drive.eds", [_example("own/drive.eds")], read_data_sheet
+    return "drive.eds", [_example("own/drive.eds")], read_sheet
 
 
 def dcf() -> tuple[str, list[bytes], Callable[[Path], Any]]:

@@ -9,9 +9,8 @@ from typing import Final
 from drives.access import NodeAccess, ObjectAccess
 from drives.bringup import refuse_enabled
 from drives.configuration.dcf import NodeConfiguration
-from drives.configuration.difference import Compared, differing
+from drives.configuration.difference import Compared, Readout, differing
 from drives.configuration.kinds import confirmation_reason, is_mapping, why_never_written
-from drives.configuration.object_reading import Readout
 from drives.datasheet.object_values import Value, ledger_value
 from drives.errors import ConfigurationRefused, DriveError, raise_failures
 from drives.heartbeat import NmtCommand, send_nmt

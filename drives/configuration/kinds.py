@@ -11,8 +11,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from typing import Final, Literal
 
-from drives.datasheet.numbers import is_by_node, resolved
-from drives.datasheet.object_values import Value
+from drives.datasheet.object_values import Value, is_by_node, resolved
 from drives.datasheet.sheet import SheetObject
 from drives.pdo import INVALID
 from drives.profile import DriveProfile

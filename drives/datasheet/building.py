@@ -12,10 +12,8 @@ from typing import Final
 
 from canopen.objectdictionary import datatypes
 
-from drives.datasheet.encoding import read_text, unreadable
-from drives.datasheet.numbers import is_ambiguous, number, plain_number
-from drives.datasheet.object_values import is_held, type_name
-from drives.datasheet.sections import COMMISSIONING_NAMES, LISTS, Address, Section, sections_of
+from drives.datasheet.object_values import is_ambiguous, is_held, number, plain_number, type_name
+from drives.datasheet.sections import COMMISSIONING_NAMES, LISTS, Address, Section, read_text, sections_of, unreadable
 from drives.datasheet.sheet import Remark, Sheet, SheetObject
 from drives.printable import one_line
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from drives.errors import ProfileError
-from drives.profile_parts import Positive, is_assumed
+from drives.profile import Positive, is_assumed
 from drives.validation import Strict, Unfit, fitted, read_strict
 
 Text = Annotated[str, Field(min_length=1)]

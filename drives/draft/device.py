@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -12,12 +13,18 @@ from drives.abort import ABSENT
 from drives.bus import Bus
 from drives.datasheet.building import read_sheet
 from drives.datasheet.sheet import Sheet
-from drives.discovery import nmt_states, probe, read_identity, require_one
+from drives.discovery import nmt_states, probe, read_identity, refuse_foreign, require_one
 from drives.errors import IdentityMismatch, SdoAbort, SdoProtocolError
-from drives.foreign_master import refuse_foreign
 from drives.objects import OBJECTS, DataType, object_name
 from drives.sdo import SdoClient
 from drives.values import Identity
+
+#: SI unit velocity (CiA 402-2; notation of CiA 303-2).
+VELOCITY_UNIT: Final = (0x60A9, 0)
+#: Numerator: radian and revolution; denominator: second and minute.
+_TURN_RAD: Final = {0x10: 1.0, 0xB4: 2.0 * math.pi}
+_TIME_S: Final = {0x03: 1.0, 0x47: 60.0}
+
 
 Address = tuple[int, int]
 
@@ -37,7 +44,7 @@ ASKED: Final = tuple(
         "torque_offset",
         "supported_modes",
     )
-) + ((0x60A9, 0),)
+) + (VELOCITY_UNIT,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,3 +169,23 @@ def _require_same(identity: Identity, sheet: Sheet) -> None:
         what = f"is another drive than {sheet.name} describes: {', '.join(odd)}"
         advice = "give the EDS of this drive, or the node id of the drive that the EDS is of"
         raise IdentityMismatch(what, node=identity.node_id, index=0x1018, subindex=1, advice=advice)
+
+
+def velocity_unit_rad_s(device: Device) -> tuple[float, str] | None:
+    """Return the motor speed of one bit of 0x606C [rad/s] and its source; None where the drive does not report it."""
+    found = device.value_of(*VELOCITY_UNIT)
+    if found is None:
+        return None
+    unit = unit_rad_s(found[0])
+    return None if unit is None else (unit, f"{found[1]} = 0x{found[0]:08X}")
+
+
+def unit_rad_s(code: int) -> float | None:
+    """Unit of a code: power of ten, numerator, denominator, one byte each from the top; None where it is not a
+    speed.
+    """
+    exponent, numerator, denominator = (code >> 24) & 0xFF, (code >> 16) & 0xFF, (code >> 8) & 0xFF
+    turn, time = _TURN_RAD.get(numerator), _TIME_S.get(denominator)
+    if turn is None or time is None or code & 0xFF:
+        return None
+    return turn / time * 10.0 ** (exponent - 256 if exponent > 127 else exponent)

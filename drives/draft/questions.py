@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from drives.draft.answers import ProfileAnswers, address_of
-from drives.draft.device import Address, Device
-from drives.draft.draft_units import velocity_unit_rad_s
+from drives.draft.device import Address, Device, velocity_unit_rad_s
 
 TORQUE: Final = (0x6077, 0)
 CURRENT: Final = (0x6078, 0)

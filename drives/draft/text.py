@@ -8,14 +8,12 @@ from typing import Final
 
 from drives.cia402 import Mode, mode_supported
 from drives.draft.answers import ProfileAnswers, address_of
-from drives.draft.device import Address, Device
-from drives.draft.draft_units import velocity_unit_rad_s
+from drives.draft.device import Address, Device, velocity_unit_rad_s
 from drives.draft.questions import COUNTS, RATED, is_current, open_questions, rated_address, torque_address
 from drives.errors import ProfileError
 from drives.objects import DataType
-from drives.profile_check import contradictions
-from drives.profile_file import parse_profile
-from drives.profile_parts import NEEDED_WRITES
+from drives.profile import NEEDED_WRITES
+from drives.profile_file import contradictions, parse_profile
 from drives.toml_text import toml_string
 
 #: Written beside what bringing up needs, where the drive has it.

@@ -13,19 +13,17 @@ from typing import Final
 from drives.errors import DriveError
 from gateway.data.blackbox.part import FIELDS, BoxHeader
 from gateway.data.blackbox.recorder import BoxRecorder
-from gateway.data.blackbox.ring_buffer import box_of
-from gateway.data.blackbox.spool import place_in
+from gateway.data.blackbox.ring_buffer import box_of, place_in
 from gateway.motion.arms import Arms
-from gateway.motion.observed_fields import fill
-from gateway.motion.observer import Observed, Observers
+from gateway.motion.observer import Observed, Observer, Observers, fill
 from gateway.motion.opening import OpenArm
 from gateway.result.origin import software
 
 KEPT: Final = tuple(name for name, _ in FIELDS)
 
 
-class BlackBoxWatch:
-    """Observer that passes all samples of one arm to a recorder.
+class BlackBoxWatch(Observer):
+    """Observer that passes all samples of one arm to a recorder; its owner closes the box after the frames of the stop.
 
     Parameters
     ----------
@@ -56,12 +54,6 @@ class BlackBoxWatch:
             return
         sample = observed.samples[self._place]
         fill(self._recorder.row(sample.time_s, sample.sync_index), 0, observed, self._place, KEPT)
-
-    def reported(self, event: object) -> None:
-        """Ignore reports: the black box holds samples only."""
-
-    def ended(self, failure: BaseException | None) -> None:
-        """Do nothing: the frames of the stop follow, and the owner of the recording closes the box."""
 
     def leave(self) -> None:
         """Stop recording."""

@@ -60,8 +60,19 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
     PlanRefused
         The posture is not allowed.
     """
-    if to == HOME:
-        found = _home(config, workspace)
+    if to == HOME and config.home_rad is not None:
+        found = Destination(HOME, config.home_rad)
+    elif to == HOME:
+        middle = (workspace.lower_rad + workspace.upper_rad) / 2
+        reason = workspace.why_not(middle)
+        if reason is not None:
+            raise ConfigError(
+                f"arm '{config.name}': home_rad is missing in the cell file, and the middle of the joint ranges, "
+                f"{angles(middle)}, is not an allowed posture: {reason}; write home_rad = [..], one joint angle per"
+                " axis"
+            )
+        what = f"{HOME} (the middle of the joint ranges, as home_rad is not given)"
+        found = Destination(what, tuple(middle.tolist()))
     elif to == LOADING:
         if config.loading_rad is None:
             raise ConfigError(
@@ -75,20 +86,6 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
     if reason is not None:
         raise PlanRefused(f"arm '{config.name}' may not rest at {found}: {reason}; choose another posture")
     return found
-
-
-def _home(config: ArmConfig, workspace: Workspace) -> Destination:
-    """Return home_rad of the cell file, else the middle of the joint ranges."""
-    if config.home_rad is not None:
-        return Destination(HOME, config.home_rad)
-    middle = (workspace.lower_rad + workspace.upper_rad) / 2
-    reason = workspace.why_not(middle)
-    if reason is not None:
-        raise ConfigError(
-            f"arm '{config.name}': home_rad is missing in the cell file, and the middle of the joint ranges, "
-            f"{angles(middle)}, is not an allowed posture: {reason}; write home_rad = [..], one joint angle per axis"
-        )
-    return Destination(f"{HOME} (the middle of the joint ranges, as home_rad is not given)", tuple(middle.tolist()))
 
 
 def plan_transfer(opened: OpenArm, target: Destination) -> Plan:

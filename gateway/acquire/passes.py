@@ -19,9 +19,9 @@ from gateway.feedforward.identified import AxisConstants, Known, axis_constants
 from gateway.feedforward.parameters import drawn_parameters
 from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import regressor
-from gateway.motion.own_torque import watched
 from gateway.motion.setpoints import MotionSetpoints, PerArm
 from gateway.motion.trajectory import Motion
+from gateway.motion.watch import watched
 from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]

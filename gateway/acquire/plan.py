@@ -13,12 +13,11 @@ import numpy as np
 
 from gateway.acquire.passes import REST_S, Pass
 from gateway.acquire.route import Leg, clearest_route, path_to
-from gateway.acquire.start_posture import inside_from
 from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused, WrongPlace
 from gateway.motion.joint_path import angles
 from gateway.motion.trajectory import MotionLimits, straight
-from gateway.motion.workspace import Workspace
+from gateway.motion.workspace import Workspace, inside_from
 
 SIDES = (-1, 1)
 #: Speed of moves between poses, as a share of the speed limit.

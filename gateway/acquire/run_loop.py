@@ -1,7 +1,7 @@
 """The run loop of every measurement: power the arm, take the next motions from a source, execute, measure and store.
 
 A source yields plans, each from the posture in which the plan before ends. `rest_visits` yields the poses of a plan,
-`moving.py` excitations and `goto.py` a transfer. `until.py` yields pose after pose while a load is estimated. The
+`driven_passes` excitations and `goto.py` a transfer. `until.py` yields pose after pose while a load is estimated. The
 brakes are on before and after.
 """
 
@@ -221,7 +221,7 @@ class Run:
         """
         for listener in self._listeners:
             guarded(listener, self._options.desk)(event)
-        self._options.observers.reported(event)
+        self._options.observers.notify(lambda observer: observer.reported(event))
 
     def _execute_plans(self, source: MotionSource) -> str:
         while True:

@@ -186,7 +186,8 @@ def search_of(
     knowledge = about.knowledge.of_robot(about.model)
     loads = set() if table is None else set(np.unique(table.load).tolist())
     known_arm = BARE_LABEL in loads or knowledge.bare is not None or knowledge.trust == 0.0
-    if not known_arm and not loads.intersection(knowledge.known):
+    complete = {label for label, load in knowledge.stated_loads.items() if load.com_m is not None}
+    if not known_arm and not loads & complete:
         raise InputError(
             f"{OPTION}: {path} holds no visit of the unloaded arm, and a load cannot be estimated without one:"
             f" measure the unloaded arm first (record CELL --load {BARE_LABEL} -o {path}, then continue with"

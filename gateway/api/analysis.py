@@ -145,7 +145,7 @@ def postures(about: AnalysisInputs) -> NDArray[np.float64] | None:
     """Postures (k, N) [rad] that a result may ask for, within the limits of the cell; None without a cell."""
     if about.arm is None:
         return None
-    from gateway.acquire.requested_poses import (
+    from gateway.acquire.planning import (
         postures_to_ask,  # the planning code takes longer to import than the rest
     )
 

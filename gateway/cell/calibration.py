@@ -50,7 +50,9 @@ class ArmCalibration(Strict):
     measured: AwareDatetime
     load: PlainName = Field(description="label of the weighed load")
     mass_kg: Positive
+    mass_std_kg: Positive | None = Field(default=None, description="its standard deviation; absent where it is exact")
     com_m: Vector3 | None = Field(default=None, description="in the last link; absent where it was estimated")
+    com_std_m: Positive | None = Field(default=None, description="of each coordinate; absent where they are exact")
     data: tuple[str, ...] = Field(description="names of the files")
     axis: tuple[CalibratedAxis, ...] = Field(min_length=1)
 

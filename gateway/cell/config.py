@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from drives.bus_spec import BusSpec
-from drives.profile_parts import is_assumed
+from drives.profile import is_assumed
 from drives.toml_lines import KeyPath, key_lines
 from drives.validation import Refused, Strict, Unfit, read_strict, refuse
 from gateway.cell import plausible

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -50,31 +50,6 @@ SUPPORT_S: Final = 10.0
 AskSupport = Callable[[str], Callable[[], bool] | None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Trial:
-    """Test of the brake of one axis."""
-
-    opened: OpenArm
-    stream: Stream
-    axis: int
-    ask: AskSupport
-
-    @property
-    def where(self) -> str:
-        """Name of the axis in messages."""
-        return f"J{self.axis + 1} node {self.opened.config.axis[self.axis].node_id}"
-
-    @property
-    def turns(self) -> np.ndarray:
-        """Largest rotation (N,) of each joint per radian of this motor."""
-        return self.opened.arm.axes.joint_bound(np.eye(len(self.opened.config.axis))[self.axis])
-
-    @property
-    def joint_per_motor(self) -> float:
-        """Largest value of `turns`."""
-        return float(self.turns.max())
-
-
 def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _text: None) -> list[Finding]:
     """Test the brake of each axis in turn.
 
@@ -104,7 +79,7 @@ def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _
         with powered(planned_stream(opened, options)) as stream:
             stream.take_over()
             for axis in range(len(opened.config.axis)):
-                items.append(_try_brake(_Trial(opened, stream, axis, ask), found))
+                items.append(_too_heavy(opened, stream, axis) or _try_brake(opened, stream, axis, ask, found))
                 if found:
                     break
     except DriveError as error:
@@ -125,64 +100,61 @@ def _after(opened: OpenArm, error: DriveError, found: list[Finding]) -> list[Fin
     if drops.max() <= BRAKE_DROP_RAD:
         raise error
     axis = int(np.argmax(drops))
-    where = f"J{axis + 1} node {opened.config.axis[axis].node_id}"
-    return [_failed(where, float(drops[axis]), "when all axes were disabled")]
+    return [_failed(_where(opened, axis), float(drops[axis]), "when all axes were disabled")]
 
 
-def _try_brake(trial: _Trial, found: list[Finding]) -> Finding:
-    """Test one brake; a failure is added to `found` before anything else is done."""
-    refused = _too_heavy(trial)
-    if refused is not None:
-        return refused
-    item = _watched(trial, found)
-    trial.stream.excuse(0, np.zeros(len(trial.turns), dtype=bool))
-    return item
+def _where(opened: OpenArm, axis: int) -> str:
+    """Return the name of an axis in messages."""
+    return f"J{axis + 1} node {opened.config.axis[axis].node_id}"
 
 
-def _too_heavy(trial: _Trial) -> Finding | None:
+def _too_heavy(opened: OpenArm, stream: Stream, axis: int) -> Finding | None:
     """Return the reason why a brake is not tested: the holding torque of its drive, measured with all brakes open."""
-    measured: list[float] = []
-
-    def listen(samples: tuple[ArmSample, ...]) -> None:
-        measured.append(float(samples[0].joint_torque_nm[trial.axis]))
-
-    trial.stream.stand(MEASURE_S, "measure the torque at rest", listen)
-    torque_nm = np.array(measured)[np.isfinite(measured)]
-    limit_nm = float(trial.opened.workspace.torque_nm[trial.axis])
+    samples: list[tuple[ArmSample, ...]] = []
+    stream.stand(MEASURE_S, "measure the torque at rest", samples.append)
+    measured = np.array([sample.joint_torque_nm[axis] for (sample,) in samples])
+    torque_nm, limit_nm = measured[np.isfinite(measured)], float(opened.workspace.torque_nm[axis])
     advice = f"move it to a posture with at most {GRAVITY_SHARE:.0%} and test again"
     if len(torque_nm) < max(1.0, MEASURED_SHARE * len(measured)) or not limit_nm > 0.0:
         advice = "find out why the drive reports no torque (0x6077), then test the brakes again"
-        return Finding("warn", trial.where, "its brake was not tested: the torque of its drive is not known", advice)
+        what = "its brake was not tested: the torque of its drive is not known"
+        return Finding("warn", _where(opened, axis), what, advice)
     share = float(np.abs(torque_nm).max()) / limit_nm
     if share > GRAVITY_SHARE:
         what = f"its brake was not tested: its drive needs {share:.0%} of its torque limit in this posture"
-        return Finding("warn", trial.where, what, advice)
+        return Finding("warn", _where(opened, axis), what, advice)
     return None
 
 
-def _watched(trial: _Trial, found: list[Finding]) -> Finding:
-    """Disable the drive of an axis for increasing times and monitor its brake."""
-    moved_rad = 0.0
+def _try_brake(opened: OpenArm, stream: Stream, axis: int, ask: AskSupport, found: list[Finding]) -> Finding:
+    """Disable the drive of an axis for increasing times and monitor its brake; then check all joints again.
+
+    A failure is added to `found` before anything else is done.
+    """
+    where, moved_rad = _where(opened, axis), 0.0
+    #: largest rotation of each joint per radian of this motor
+    turns = opened.arm.axes.joint_bound(np.eye(len(opened.config.axis))[axis])
     for number, seconds in enumerate(WATCH_S):
-        test, stopped = _released(trial, seconds, number == len(WATCH_S) - 1)
-        moved_rad = test.moved_rad * trial.joint_per_motor
-        fell_rad = test.farthest_rad * trial.joint_per_motor
-        how = f"within {test.released_syncs * trial.stream.period_s:.2f} s, and is held by its drive again"
+        test, stopped = _released(opened, stream, axis, turns, seconds, number == len(WATCH_S) - 1)
+        moved_rad, fell_rad = test.moved_rad * float(turns.max()), test.farthest_rad * float(turns.max())
+        how = f"within {test.released_syncs * stream.period_s:.2f} s, and is held by its drive again"
         if test.beyond_limit or moved_rad > BRAKE_DROP_RAD:
-            found.append(_failed(trial.where, fell_rad, how))
+            found.append(_failed(where, fell_rad, how))
         elif moved_rad > STEP_RAD and number < len(WATCH_S) - 1:
-            found.append(_failed(trial.where, fell_rad, how, STEP_RAD))
+            found.append(_failed(where, fell_rad, how, STEP_RAD))
         elif stopped is not None:
             what = f"sank by {fell_rad:.4f} rad in its brake before the requested stop, and is held by its drive again"
             advice = "its brake may not hold: support the arm before its axes are disabled, then test this brake again"
-            found.append(Finding("fail", trial.where, what, advice))
+            found.append(Finding("fail", where, what, advice))
         if found:
-            _hold_until_supported(trial, found[0], stopped is not None)
+            _hold_until_supported(stream, ask, found[0], stopped is not None)
         if stopped is not None:
             raise stopped
         if found:
-            return found[0]
-    return Finding("ok", trial.where, f"its brake held it for {WATCH_S[-1]:g} s: it moved by {moved_rad:.4f} rad")
+            break
+    stream.excuse(0, np.zeros(len(turns), dtype=bool))
+    held = f"its brake held it for {WATCH_S[-1]:g} s: it moved by {moved_rad:.4f} rad"
+    return found[0] if found else Finding("ok", where, held)
 
 
 def _failed(where: str, moved_rad: float, how: str, allowed_rad: float = BRAKE_DROP_RAD) -> Finding:
@@ -190,23 +162,25 @@ def _failed(where: str, moved_rad: float, how: str, allowed_rad: float = BRAKE_D
     return Finding("fail", where, what, "this brake does not hold: do not power this arm before it is repaired")
 
 
-def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[BrakeTest, BaseException | None]:
+def _released(
+    opened: OpenArm, stream: Stream, axis: int, turns: np.ndarray, seconds: float, disables_voltage: bool
+) -> tuple[BrakeTest, BaseException | None]:
     """Disable the drive of an axis for a time; the drive holds the axis again at the end, or when it has moved too far.
 
     The second value is the cause of a stop request that has not been raised because the axis was moving.
     """
-    stream, group, period_s = trial.stream, trial.opened.group, trial.stream.period_s
+    group, period_s = opened.group, stream.period_s
     for _ in range(math.ceil(REST_S / period_s)):
         if group.is_at_rest:
             break
         stream.hold("come to rest", 0, 1)
-    stream.excuse(0, trial.turns > 0.0)
-    test = group.release(trial.axis, BRAKE_DROP_RAD / trial.joint_per_motor, disables_voltage)
+    stream.excuse(0, turns > 0.0)
+    test = group.release(axis, BRAKE_DROP_RAD / float(turns.max()), disables_voltage)
     rows = math.ceil(seconds / period_s)
     stopped: BaseException | None = None
     try:
-        while test.released_syncs < rows and not test.beyond_limit:
-            stream.hold("monitor the brake", test.released_syncs, rows)
+        while (test.released_syncs < rows or not test.is_watched) and not test.beyond_limit:
+            stream.hold("monitor the brake", min(test.released_syncs, rows), rows)
         test.enable_again()
         while not test.held:
             stream.hold("hold the axis again", 0, 1)
@@ -217,7 +191,7 @@ def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[Br
         test.enable_again()
         for _ in range(LOOK_SYNCS):
             stream.hold("hold the axis again before the stop", 0, 1, heed=False)
-        if test.farthest_rad * trial.joint_per_motor <= LETS_GO_RAD:
+        if test.farthest_rad * float(turns.max()) <= LETS_GO_RAD:
             raise
         while not test.held:
             stream.hold("hold the axis again before the stop", 0, 1, heed=False)
@@ -225,22 +199,21 @@ def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[Br
     return test, stopped
 
 
-def _hold_until_supported(trial: _Trial, item: Finding, stopping: bool) -> None:
+def _hold_until_supported(stream: Stream, ask: AskSupport, item: Finding, stopping: bool) -> None:
     """Hold the arm under power until it is supported: once its axes are disabled, only the failed brake carries it.
 
     `stopping`: a stop was already requested. A quick stop ends this after `SUPPORT_S`; a request that becomes one ends
     it at once.
     """
-    done = trial.ask(
+    done = ask(
         f"{item.where} {item.what}. The arm is held under power. Support it, or lower it to a position where it"
         " cannot fall. Its axes are then disabled."
     )
-    rows = math.ceil(SUPPORT_S / trial.stream.period_s)
-    urgent, desk = trial.stream.urgent, trial.stream.options.desk
+    rows, urgent, desk = math.ceil(SUPPORT_S / stream.period_s), stream.urgent, stream.options.desk
     row = 0
     while (row < rows if done is None else not done()) and not (stopping and urgent and row >= rows):
         wish = desk.look()
         if stopping and not urgent and wish is not None and wish.kind is StopKind.QUICK_STOP:
             return
-        trial.stream.hold("hold the arm until it is supported", row, rows, heed=not stopping)
+        stream.hold("hold the arm until it is supported", row, rows, heed=not stopping)
         row += 1

@@ -7,7 +7,6 @@ with all limits monitored as in a recording. Nothing is stored; demand and curre
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -15,20 +14,17 @@ import numpy as np
 from drives.busload import LOAD_LIMIT_PERCENT, frame_bits_worst, load_percent
 from drives.torque_signals import TorqueSignalReader, TorqueSignals
 from gateway.acquire.events import Listener
-from gateway.acquire.plan import Plan, VisitSettings, plan_poses
+from gateway.acquire.plan import SIDES, Plan, VisitSettings, plan_poses
 from gateway.acquire.run_loop import Run, rest_visits
-from gateway.acquire.start_posture import refuse_start
 from gateway.acquire.visit_store import MemoryStore
-from gateway.check.torque import Scales, judge_torque
-from gateway.check.wiring import Moves, WiredArm, Wiring
-from gateway.check.wiring_judge import Verdict, WiringView, judge_wiring
+from gateway.check.torque import judge_torque
+from gateway.check.wiring import Moves, Verdict, Wiring, WiringView, judge_wiring
 from gateway.data.rest_pose import RestPose
-from gateway.data.visit import Visit
 from gateway.errors import LimitExceeded, WrongPlace
 from gateway.motion.assumed import reference_load
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
-from gateway.motion.workspace import Workspace
+from gateway.motion.workspace import Workspace, refuse_start
 from gateway.preflight.rules import Axis
 from gateway.result.interval import SAID
 from gateway.result.numerals import with_interval
@@ -44,21 +40,6 @@ SETTLE_S: Final = 10.0
 #: Misfit above which the model does not describe the arm with any wiring.
 MISFIT: Final = 2.0
 LOAD: Final = "check"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MoveCheck:
-    """Result of the small moves.
-
-    Attributes
-    ----------
-    items : tuple of Finding
-    verdict : Verdict or None
-        None if the arm had to be stopped, or its links are not known.
-    """
-
-    items: tuple[Finding, ...]
-    verdict: Verdict | None
 
 
 def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: float) -> Plan:
@@ -81,10 +62,24 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
     """
     refuse_start(workspace, start_rad, arm)
     inward = np.where(start_rad > (workspace.lower_rad + workspace.upper_rad) / 2, -1.0, 1.0)
-    poses = [RestPose(1, _tuple(start_rad), "fit")]
-    for joint in range(workspace.robot.axes):
-        poses.append(RestPose(joint + 2, _displaced(arm, workspace, start_rad, joint, float(inward[joint])), "fit"))
-    plan, unreachable = plan_poses(arm, workspace, poses, _settings(period_s))
+    postures = [start_rad]
+    for joint, line in enumerate(inward * np.eye(len(start_rad))):
+        size = step_rad(joint, len(start_rad))
+        for target in (start_rad + size * line, start_rad - size * line):
+            # room for both approach directions
+            ends = np.array([target + APPROACH_RAD, target - APPROACH_RAD])
+            if workspace.path_clear(np.array([start_rad, start_rad]), ends).all():
+                postures.append(target)
+                break
+        else:
+            raise WrongPlace(
+                f"arm '{arm}', joint {joint + 1}: no room for {size} rad in either direction; move the arm to a posture"
+                " away from limits and obstacles",
+                arm,
+            )
+    poses = [RestPose(number, tuple(q_rad.tolist()), "fit") for number, q_rad in enumerate(postures, start=1)]
+    settings = VisitSettings(APPROACH_RAD, SPEED_RAD_S, SETTLE_S, SAMPLES, period_s)
+    plan, unreachable = plan_poses(arm, workspace, poses, settings)
     if unreachable:
         raise WrongPlace(
             f"arm '{arm}': no free path for the small moves; move the arm to a posture with more free space", arm
@@ -92,36 +87,14 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
     return plan
 
 
-def _displaced(arm: str, workspace: Workspace, start_rad: np.ndarray, joint: int, inward: float) -> tuple[float, ...]:
-    """Return the posture with the axis displaced inward or else outward, with room for both approach directions."""
-    size = step_rad(joint, workspace.robot.axes)
-    for step in (inward * size, -inward * size):
-        target = start_rad.copy()
-        target[joint] += step
-        ends = np.array([target + APPROACH_RAD, target - APPROACH_RAD])
-        if workspace.path_clear(np.array([start_rad, start_rad]), ends).all():
-            return _tuple(target)
-    raise WrongPlace(
-        f"arm '{arm}', joint {joint + 1}: no room for {size} rad in either direction; move the arm to a posture"
-        " away from limits and obstacles",
-        arm,
-    )
-
-
 def step_rad(joint: int, axes: int) -> float:
     """Return the displacement [rad] of a joint (index from 0)."""
     return WRIST_STEP_RAD if joint >= max(WRIST_AXES, axes - WRIST_AXES) else STEP_RAD
 
 
-def _tuple(q_rad: np.ndarray) -> tuple[float, ...]:
-    return tuple(float(value) for value in q_rad)
-
-
-def _settings(period_s: float) -> VisitSettings:
-    return VisitSettings(APPROACH_RAD, SPEED_RAD_S, SETTLE_S, SAMPLES, period_s)
-
-
-def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: MoveOptions | None = None) -> MoveCheck:
+def check_moves(
+    opened: OpenArm, listeners: Sequence[Listener] = (), options: MoveOptions | None = None
+) -> list[Finding]:
     """Move every axis a little and compare the torques with the model.
 
     Parameters
@@ -149,21 +122,35 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
             if not group.gate().is_disabled:
                 raise
             advice = "check the order of the node ids, position_sign, torque_sign and gear_ratio of the axes by hand"
-            return MoveCheck((Finding("fail", f"J{error.joint}", f"small moves were stopped: {error}", advice),), None)
+            return [Finding("fail", f"J{error.joint}", f"small moves were stopped: {error}", advice)]
     items: list[Finding] = []
     nothing = [TorqueSignals(axis.node_id, missing="the bus has no capacity for a third TPDO") for axis in config.axis]
     for joint, (axis, profile, drive, words) in enumerate(
         zip(config.axis, opened.profiles, group.drives, reader.signals or nothing, strict=True), start=1
     ):
-        items += judge_torque(Axis(joint, axis, profile), words, Scales.of(drive.scale, axis))
-    if opened.workspace.links is None:
+        items.append(judge_torque(Axis(joint, axis, profile), words, drive.scale.torque_nm, drive.scale.current_a))
+    workspace = opened.workspace
+    if workspace.links is None:
         what = "signs, order and gear ratios were not compared: the cell file ignores the inertials of the robot model"
         advice = 'set inertials = "prior:0.1" if the URDF has link masses'
-        items.append(Finding("warn", f"arm {config.name}", what, advice))
-        return MoveCheck(tuple(items), None)
-    verdict = judge_wiring(_arm(opened), moves_of(opened, visits.visits))
-    node_ids = [axis.node_id for axis in config.axis]
-    return MoveCheck((*items, *wiring_items(config.name, node_ids, verdict)), verdict)
+        return [*items, Finding("warn", f"arm {config.name}", what, advice)]
+    by_key = {(visit.pose, visit.approach): visit for visit in visits.visits}
+    pairs = [[by_key[pose.number, side] for side in SIDES] for pose in plan.poses]
+    motor_position = opened.arm.axes.motor_position
+    moves = Moves(
+        np.array([[motor_position(visit.q_rad.mean(axis=0)) for visit in pair] for pair in pairs]),
+        np.array([[visit.motor_torque_nm.mean(axis=0) for visit in pair] for pair in pairs]),
+    )
+    verdict = judge_wiring(
+        moves,
+        workspace.robot,
+        opened.arm.axes,
+        gravity_m_s2=workspace.gravity_m_s2,
+        torque_limit_nm=workspace.torque_nm,
+        link_std=config.link_std,
+        load_kg=reference_load(workspace, opened.arm.where()[None])[0],
+    )
+    return [*items, *wiring_items(config.name, [axis.node_id for axis in config.axis], verdict)]
 
 
 def _bus_has_capacity(opened: OpenArm) -> bool:
@@ -172,24 +159,6 @@ def _bus_has_capacity(opened: OpenArm) -> bool:
     bits = opened.group.cycle_bits + len(opened.group.drives) * frame_bits_worst(8)
     load = load_percent(bits, timing.period_s, spec.bitrate_bit_s)
     return timing.pacing == "lockstep" or load <= LOAD_LIMIT_PERCENT
-
-
-def _arm(opened: OpenArm) -> WiredArm:
-    workspace, axes, link_std = opened.workspace, opened.arm.axes, opened.config.link_std
-    load_kg, _ = reference_load(workspace, opened.arm.where()[None])
-    return WiredArm(workspace.robot, workspace.gravity_m_s2, axes, workspace.torque_nm, link_std, load_kg)
-
-
-def moves_of(opened: OpenArm, visits: Sequence[Visit]) -> Moves:
-    """Return the means of the visits, pose by pose, in both approach directions."""
-    by_key = {(visit.pose, visit.approach): visit for visit in visits}
-    numbers = sorted({visit.pose for visit in visits})
-    pairs = [[by_key[number, side] for side in (-1, 1)] for number in numbers]
-    motor = opened.arm.axes.motor_position
-    return Moves(
-        np.array([[motor(visit.q_rad.mean(axis=0)) for visit in pair] for pair in pairs]),
-        np.array([[visit.motor_torque_nm.mean(axis=0) for visit in pair] for pair in pairs]),
-    )
 
 
 # -------------------------------------------------------------------------------------------------------- in words

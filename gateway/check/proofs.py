@@ -8,69 +8,54 @@ which it was made.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 from drives.files import read_sealed, write_sealed
 from drives.ledger import KnownDevice, without_shared_serials
-from drives.profile import DriveProfile
-from drives.values import Identity
-from gateway.cell.config import AxisConfig
 from gateway.check.stop import StopProof, prove_stop
 from gateway.errors import FindingFailed
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.preflight.drive_check import live_addresses, require_passed
-from gateway.preflight.rules import Readings
 
 SCHEMA: Final = 3
 
 
 def fingerprint(opened: OpenArm) -> dict[str, Any]:
     """Return the fingerprint of a proof: SYNC, and for each axis the drive, its settings, gear and commands."""
-    timing, serials = opened.group.timing, _serial_numbers(opened)
-    axes = zip(opened.config.axis, opened.profiles, opened.identities, opened.readings, serials, strict=True)
-    return {
-        "pacing": timing.pacing,
-        "sync_period_s": timing.period_s,
-        "axes": [
-            _axis(config, profile, identity, _settings(profile, readings))
-            | {"serial_number": f"none; session {opened.session}" if serial is None else serial}
-            for config, profile, identity, readings, serial in axes
-        ],
-    }
+    timing, axes = opened.group.timing, list[dict[str, Any]]()
+    drives = zip(
+        opened.config.axis, opened.profiles, opened.identities, opened.readings, _serial_numbers(opened), strict=True
+    )
+    for config, profile, identity, readings, serial in drives:
+        live = live_addresses(profile)
+        kept = sorted((address, value) for address, value in readings.items() if address not in live)
+        axes.append(
+            {
+                "node_id": identity.node_id,
+                "vendor_id": identity.vendor_id,
+                "product_code": identity.product_code,
+                "revision": identity.revision,
+                "firmware": identity.software_version,
+                "consumer_ms": profile.heartbeat.consumer_ms,
+                "abort_connection": profile.heartbeat.abort_connection,
+                "gear_ratio": config.gear_ratio.value,
+                "position_sign": config.position_sign,
+                "torque_sign": config.torque_sign,
+                "settings": {f"{index:04X}:{subindex:02X}": value for (index, subindex), value in kept},
+                "serial_number": f"none; session {opened.session}" if serial is None else serial,
+            }
+        )
+    return {"pacing": timing.pacing, "sync_period_s": timing.period_s, "axes": axes}
 
 
 def _serial_numbers(opened: OpenArm) -> list[int | None]:
     """Return the serial number of each drive; None where it has none, or shares it with another one."""
     devices = [KnownDevice.of(identity, None) for identity in opened.identities]
     return [device.serial_number for device in without_shared_serials(devices)]
-
-
-def _axis(
-    config: AxisConfig, profile: DriveProfile, identity: Identity, settings: Mapping[str, int | None]
-) -> dict[str, Any]:
-    return {
-        "node_id": identity.node_id,
-        "vendor_id": identity.vendor_id,
-        "product_code": identity.product_code,
-        "revision": identity.revision,
-        "firmware": identity.software_version,
-        "consumer_ms": profile.heartbeat.consumer_ms,
-        "abort_connection": profile.heartbeat.abort_connection,
-        "gear_ratio": config.gear_ratio.value,
-        "position_sign": config.position_sign,
-        "torque_sign": config.torque_sign,
-        "settings": dict(settings),
-    }
-
-
-def _settings(profile: DriveProfile, readings: Readings) -> dict[str, int | None]:
-    live = live_addresses(profile)
-    kept = sorted((address, value) for address, value in readings.items() if address not in live)
-    return {f"{index:04X}:{subindex:02X}": value for (index, subindex), value in kept}
 
 
 def proven_on(path: Path, opened: OpenArm, override: float = 1.0) -> str | None:

@@ -17,7 +17,6 @@ from drives.errors import DriveError
 from drives.objects import OBJECTS
 from drives.proof import StopTest, StopTrace
 from gateway.acquire.plan import approach_limits
-from gateway.acquire.start_posture import inside_from, widened
 from gateway.data.sample import ArmSample
 from gateway.errors import PlanRefused
 from gateway.motion.arms import Arms
@@ -26,7 +25,7 @@ from gateway.motion.power import powered
 from gateway.motion.setpoints import MotionSetpoints
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import Motion, straight
-from gateway.motion.workspace import Workspace
+from gateway.motion.workspace import Workspace, inside_from, widened
 from gateway.result.result import Finding
 
 #: Speed of every joint while the heartbeat is withheld [rad/s], and its largest travel [rad].
@@ -325,47 +324,42 @@ def _reset_provoked(opened: OpenArm, traces: tuple[StopTrace, ...]) -> dict[int,
 
 
 def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, left: dict[int, str]) -> StopProof:
-    axes = opened.arm.axes
-    moved = axes.joint_bound(np.array([trace.moved_rad for trace in traces]))
-    coast = axes.joint_bound(np.array([trace.coast_rad for trace in traces]))
-    items = []
-    for joint, trace in enumerate(traces, start=1):
-        where = f"J{joint} node {trace.node_id}:{OBJECTS['consumer_heartbeat']}"
-        items += [Finding(*found) for found in _findings(where, trace, moved[joint - 1], coast[joint - 1])]
+    moved, coast = (
+        opened.arm.axes.joint_bound(np.array([getattr(trace, name) for trace in traces])).tolist()
+        for name in ("moved_rad", "coast_rad")
+    )
+    what = f"heartbeat withheld at {speed_rad_s:.3f} rad/s on every joint"
+    items = [Finding("info", f"arm {opened.config.name}", what)]
+    for joint, (trace, moved_rad, coast_rad) in enumerate(zip(traces, moved, coast, strict=True), start=1):
+        where = f"J{joint} node {trace.node_id}"
+        items.append(_judged(f"{where}:{OBJECTS['consumer_heartbeat']}", trace, moved_rad, coast_rad))
         if trace.node_id in left:
             advice = "find and remove the cause, then reset it at the drive"
-            items.append(Finding("fail", f"J{joint} node {trace.node_id}", left[trace.node_id], advice))
-    about = f"arm {opened.config.name}"
-    what = f"heartbeat withheld at {speed_rad_s:.3f} rad/s on every joint"
-    items.insert(0, Finding("info", about, what))
-    return StopProof(opened.config.name, traces, tuple(moved.tolist()), tuple(coast.tolist()), tuple(items))
+            items.append(Finding("fail", where, left[trace.node_id], advice))
+    return StopProof(opened.config.name, traces, tuple(moved), tuple(coast), tuple(items))
 
 
-def _findings(where: str, trace: StopTrace, moved_rad: float, coast_rad: float) -> Iterator[tuple[Any, ...]]:
+def _judged(where: str, trace: StopTrace, moved_rad: float, coast_rad: float) -> Finding:
+    """Return how a drive has reacted to the loss of the master."""
     stated = f"{1000 * trace.stated_s:.0f} ms are stated"
     seen = f"left OPERATION ENABLED after {1000 * (trace.left_s or 0.0):.0f} ms ({stated})"
     path = f"{moved_rad:.4f} rad from the last heartbeat to rest, {coast_rad:.4f} rad of them after it had left"
     if trace.left_s is None:
+        what = f"continued to move without the master's heartbeat; {stated}; the master stopped it"
         advice = (
             "the drive ignores the loss of the master: do not move this arm; check 0x1016 and 0x6007, and its firmware"
         )
-        yield (
-            "fail",
-            where,
-            f"continued to move without the master's heartbeat; {stated}; the master stopped it",
-            advice,
-        )
-    elif not trace.in_time:
+        return Finding("fail", where, what, advice)
+    if not trace.in_time:
         advice = "lower consumer_ms of its profile, or correct what the profile states"
-        yield "fail", where, f"{seen}: too late, {path}", advice
-    elif trace.left_s < EARLY * trace.stated_s:
+        return Finding("fail", where, f"{seen}: too late, {path}", advice)
+    if trace.left_s < EARLY * trace.stated_s:
         advice = "another cause has stopped it; find the cause, then repeat the test of the stop"
-        yield "fail", where, f"{seen}: too early for a lost heartbeat", advice
-    elif not trace.stood:
+        return Finding("fail", where, f"{seen}: too early for a lost heartbeat", advice)
+    if not trace.stood:
         advice = "check brake and quick stop ramp (0x6085), and the brake's delay"
-        yield "fail", where, f"{seen}, but did not come to rest: {path}", advice
-    elif coast_rad > COAST_RAD:
+        return Finding("fail", where, f"{seen}, but did not come to rest: {path}", advice)
+    if coast_rad > COAST_RAD:
         advice = "the brake closes too slowly or the ramp is too flat: check 0x605A, 0x6085 and the brake's delay"
-        yield "fail", where, f"{seen}, {path}; {COAST_RAD} rad are allowed", advice
-    else:
-        yield "ok", where, f"{seen}, {trace.state}: {path}"
+        return Finding("fail", where, f"{seen}, {path}; {COAST_RAD} rad are allowed", advice)
+    return Finding("ok", where, f"{seen}, {trace.state}: {path}")

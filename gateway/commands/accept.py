@@ -101,7 +101,7 @@ def accept(
     The arm moves, unless --from is given. Pass, fail or cannot tell, with the probability that the decision is wrong;
     exit 7 unless it passes.
     """
-    from gateway.acquire.acceptance_plan import workspace_postures
+    from gateway.acquire.planning import workspace_postures
     from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
     from gateway.pipeline.workspace_acceptance import accepted_over
 
@@ -148,7 +148,7 @@ def _planned(job: _Job) -> tuple[Plan, float]:
     """The poses, chosen for the errors that are looked for."""
     import numpy as np
 
-    from gateway.acquire.acceptance_plan import plan_acceptance
+    from gateway.acquire.planning import plan_acceptance
     from gateway.identify.workspace_error import error_families
     from gateway.pipeline.workspace_acceptance import seen_postures
     from gateway.preflight.limits import refuse_beyond_counts

@@ -210,13 +210,13 @@ def _in_motion(
     return items, seen
 
 
-def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[Finding, ...]:
+def _small_moves(opened: OpenArm, options: MoveOptions) -> list[Finding]:
     from gateway.check.moves import check_moves
     from gateway.commands.progress import ProgressListener
 
     session = session_of()
     with session.progress(1.0, "small moves") as bar:
-        return check_moves(opened, (ProgressListener(session, bar),), options).items
+        return check_moves(opened, (ProgressListener(session, bar),), options)
 
 
 def _checked(context: CellContext, arm: ArmConfig) -> list[Finding]:

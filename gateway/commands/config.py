@@ -35,8 +35,7 @@ from gateway.errors import ConfigError, FindingFailed, PlanRefused
 if TYPE_CHECKING:
     from drives.access import ObjectAccess
     from drives.configuration.dcf import BeyondLimit, NodeConfiguration
-    from drives.configuration.difference import Compared
-    from drives.configuration.object_reading import Readout
+    from drives.configuration.difference import Compared, Readout
     from drives.drive import Cia402Drive
     from drives.nodes import Nodes
     from drives.pdo import Step
@@ -74,8 +73,9 @@ def config_dump(
 
     Status and process values are not part of the configuration; --json lists them separately.
     """
-    from drives.configuration.dcf import beyond_limits, read_data_sheet
-    from drives.configuration.object_reading import read_drive
+    from drives.configuration.dcf import beyond_limits
+    from drives.configuration.difference import read_drive
+    from drives.datasheet.building import read_sheet
     from gateway.jobs.cell_context import open_cell
 
     context, session = open_cell(cell, bus_spec, reserve), session_of()
@@ -86,7 +86,7 @@ def config_dump(
         sources = _sources(context, arm, by_node)
         for path in paths.values():
             refuse_to_replace(path, "--output", session)
-        sheets_read = {source: read_data_sheet(source) for source in set(sources.values())}
+        sheets_read = {source: read_sheet(source) for source in set(sources.values())}
         read = {node_id: sheets_read[source] for node_id, source in sources.items()}
         for source, sheet in sheets_read.items():
             show_remarks(str(source), sheet.remarks)
@@ -165,13 +165,12 @@ def _text_of(
     source: Path,
     beyond: Sequence[BeyondLimit],
 ) -> str:
-    from drives.configuration.dcf import Commissioning, dcf_text
+    from drives.configuration.dcf import dcf_text
 
     context, arm, joint = axis
     bitrate = context.loaded.cell.bus[arm.bus].bitrate_bit_s
     name = f"{context.loaded.cell.name} {arm.name} J{joint}"
-    site = Commissioning(drive.node_id, name, bitrate, arm.bus, drive.access.serial_number)
-    return dcf_text(source, _stored(readout), site, datetime.now(UTC), beyond)
+    return dcf_text(source, _stored(readout), datetime.now(UTC), drive.access.device, name, bitrate, arm.bus, beyond)
 
 
 def _stored(readout: Readout) -> dict[tuple[int, int], Any]:
@@ -293,9 +292,8 @@ def _files(context: CellContext, arm: ArmConfig, folder: Path | None) -> dict[in
 
 
 def _compared(arm: ArmConfig, connected: Nodes, files: dict[int, NodeConfiguration]) -> list[ComparedNode]:
-    from drives.configuration.difference import compare
+    from drives.configuration.difference import compare, read_drive
     from drives.configuration.kinds import mapped_objects
-    from drives.configuration.object_reading import read_drive
     from drives.discovery import read_identity
 
     nodes = []

@@ -32,7 +32,7 @@ from gateway.commands.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from gateway.follow.job import Prepared
+    from gateway.follow.settings import Prepared
     from gateway.result.follow import FollowResult
 
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -84,8 +84,8 @@ def follow(
 
     from gateway.feedforward.identified import with_identified
     from gateway.follow.comparison import result_of
-    from gateway.follow.job import prepare
     from gateway.follow.path_run import follow as drive
+    from gateway.follow.settings import prepare
     from gateway.jobs.cell_context import open_cell
     from gateway.jobs.frame import begin_motion
     from gateway.model.arm_model import arm_named

@@ -284,8 +284,7 @@ def _plan_for(
     result: Path | None,
 ) -> Plan:
     """Return the requested poses, otherwise those of the continued file, otherwise those of the cell."""
-    from gateway.acquire.planning import make_plan
-    from gateway.acquire.requested_poses import asked_by, plan_again, plan_asked
+    from gateway.acquire.planning import asked_by, make_plan, plan_again, plan_asked
     from gateway.acquire.session import plan_of_recording
 
     if sum(map(bool, (poses, again, result))) > 1:

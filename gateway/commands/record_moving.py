@@ -58,9 +58,8 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
     InputError, PlanRefused, DriveError, KeyboardInterrupt
         As `record_moving`.
     """
-    from gateway.acquire.moving import record_moving
     from gateway.acquire.passes import passes_of
-    from gateway.acquire.session import REST_KEYS, RecordRequest
+    from gateway.acquire.session import REST_KEYS, RecordRequest, record_moving
     from gateway.commands.progress import ProgressListener
     from gateway.data.recording.reader import read
     from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell

@@ -93,7 +93,7 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
     csv is the measured table that `estimate` and `diagnose` read: two rows per pose, joint-side torque. The other
     formats of a recording contain every sample, with units.
     """
-    from drives.profile_parts import is_assumed
+    from drives.profile import is_assumed
     from gateway.data.reading import is_recording
     from gateway.result.export import export as export_text
 

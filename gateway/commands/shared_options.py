@@ -32,9 +32,10 @@ PATH_AXES = 6
 #: Number of data sheet remarks printed without -v.
 REMARKS_SHOWN = 10
 
-KNOWN_FORM = "LABEL=MASS[,[FRAME=]X,Y,Z]"
+KNOWN_FORM = "LABEL=MASS[+-STD][,[FRAME=]X,Y,Z[+-STD]]"
 KNOWN_HELP = (
     "kg and m. FRAME: flange or link_6 (the last link, default). Without X,Y,Z the centre of gravity is estimated."
+    " STD: standard deviation of the mass, and of each coordinate of the centre; without it they are exact."
 )
 
 Function = TypeVar("Function", bound=Callable[..., Any])

@@ -3,6 +3,15 @@
 A straight joint motion has a speed, an acceleration and a deceleration of its own, each at most the limit of the cell.
 They are chosen so that the motion is fastest while no axis exceeds its torque limit with the load that the planner
 assumes. A timed path keeps its time law and is stretched as a whole.
+
+Torque of every axis along a joint path as a function of the time law of the path.
+
+The path is q(s). With the speed s' and the acceleration s'' along it
+
+    tau = G(s) + A(s) s'' + B(s) s'^2,   A = M(q) dq/ds,   B = M(q) d2q/ds2 + C(q, dq/ds) dq/ds
+
+(Bobrow, Dubowsky and Gibson 1985). G, A and B are computed once on a grid, so that many time laws are tried at little
+cost. Friction, gear losses and rotors are those of `gateway.feedforward.law`.
 """
 
 from __future__ import annotations
@@ -14,13 +23,15 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.cost.torque import JointPath, PathTorque, TimeLaw
+from gateway.excite.limits import States, point_acceleration_m_s2
+from gateway.feedforward.load import FeedLoad
+from gateway.follow.settings import FeedModel
+from gateway.identify.stated_effects import Stated, with_stated
+from gateway.model.regressor import regressor
+from gateway.model.visits import Gears
 from gateway.motion.trajectory import Motion, MotionLimits, straight, straight_duration_s
 
 Floats = NDArray[np.float64]
-#: Of the limits of speed, acceleration and deceleration.
-Shares = tuple[float, ...]
-
 #: Postures of a straight motion at which the torque is computed.
 GRID = 61
 #: Shares of the limits that are tried: powers of the first number, so many; refined until neighbours are this close.
@@ -31,6 +42,115 @@ LEAST_SHARE, STEPS = 0.01, 14
 REACHED = 0.98
 #: Setpoints are this far apart while laws are compared [s].
 COARSE_S = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointPath:
+    """Postures along a path, with derivatives by the path coordinate.
+
+    Attributes
+    ----------
+    s : array of shape (n,)
+        Path coordinate, increasing.
+    q_rad, by_s, by_s2 : arrays of shape (n, N)
+        Joint positions, first and second derivative.
+    """
+
+    s: Floats
+    q_rad: Floats
+    by_s: Floats
+    by_s2: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimeLaw:
+    """Path coordinate, speed and acceleration along the path, arrays of shape (m,)."""
+
+    s: Floats
+    speed: Floats
+    acceleration: Floats
+
+
+class PathTorque:
+    """Motor torque and load acceleration along one path, for one load.
+
+    Parameters
+    ----------
+    path : JointPath
+    model : FeedModel
+    load : FeedLoad or None
+        None = unloaded arm.
+    load_limit_m_s2 : float or None
+        Largest acceleration of the load's centre of gravity.
+    stated : tuple of (Term, array)
+        Springs, cables and bodies on links that a result states.
+    """
+
+    def __init__(
+        self,
+        path: JointPath,
+        model: FeedModel,
+        load: FeedLoad | None,
+        load_limit_m_s2: float | None = None,
+        stated: tuple[Stated, ...] = (),
+    ) -> None:
+        self._path, self._model = path, model
+        parts = with_stated(stated, path.q_rad, Gears.of(None, path.q_rad.shape[1]))
+        parameters = model.links.copy()
+        # a body on a link is stated by mass and first moment; its own inertia is not known
+        parameters.reshape(-1, 10)[:, :4] += parts.link_extra.reshape(-1, 4)
+        if load is not None:
+            parameters[-10:] += load.parameters
+        still, no_gravity = np.zeros_like(path.q_rad), np.zeros(3)
+        robot = model.robot
+        self._gravity = regressor(robot, path.q_rad, still, still, model.gravity_m_s2) @ parameters - parts.passive_nm
+        self._by_acceleration = regressor(robot, path.q_rad, still, path.by_s, no_gravity) @ parameters
+        self._by_speed2 = regressor(robot, path.q_rad, path.by_s, path.by_s2, no_gravity) @ parameters
+        self._limit_m_s2 = None if load is None else load_limit_m_s2
+        self._load_by_acceleration = self._load_by_speed2 = np.zeros((len(path.s), 3))
+        if load is not None and load_limit_m_s2 is not None:
+            straight = States(path.q_rad, still, path.by_s, still)
+            curved = States(path.q_rad, path.by_s, path.by_s2, still)
+            self._load_by_acceleration = point_acceleration_m_s2(robot, straight, load.com_m)
+            self._load_by_speed2 = point_acceleration_m_s2(robot, curved, load.com_m)
+
+    def motor_nm(self, law: TimeLaw) -> Floats:
+        """Torque (m, N) [Nm] that the motors give, at the gear output, gear losses included."""
+        at, speed2 = self._at(law.s), (law.speed**2)[:, None]
+        rigid = at(self._gravity) + at(self._by_acceleration) * law.acceleration[:, None] + at(self._by_speed2) * speed2
+        by_s = at(self._path.by_s)
+        turning = by_s * law.speed[:, None]
+        turning_rate = by_s * law.acceleration[:, None] + at(self._path.by_s2) * speed2
+        coupling = self._model.coupling
+        force, rate = rigid @ np.linalg.inv(coupling), turning @ coupling.T
+        side = np.where(rate != 0.0, np.sign(rate), np.sign(by_s))
+        force = force + self._model.friction_nm(force, rate, side)
+        driving, efficiency = np.sign(force) * side, self._model.terms("efficiency")
+        lost = np.where(driving > 0.0, 1.0 / efficiency, np.where(driving < 0.0, efficiency, 1.0))
+        return force * lost + self._model.terms("rotor_kg_m2") * (turning_rate @ coupling.T)
+
+    def torque_shares(self, law: TimeLaw) -> Floats:
+        """Motor torque (m, N) over the torque limit of the axis, signed."""
+        return self.motor_nm(law) / (self._model.terms("limit_nm") * np.abs(self._model.terms("ratio")))
+
+    def load_shares(self, law: TimeLaw) -> Floats:
+        """Acceleration (m,) of the load's centre of gravity over its limit; 0 where there is none."""
+        if self._limit_m_s2 is None:
+            return np.zeros(len(law.s))
+        at = self._at(law.s)
+        moved = at(self._load_by_acceleration) * law.acceleration[:, None]
+        moved = moved + at(self._load_by_speed2) * (law.speed**2)[:, None]
+        return np.linalg.norm(moved, axis=1) / self._limit_m_s2
+
+    def _at(self, s: Floats) -> Callable[[Floats], Floats]:
+        """Linear interpolation of grid values (n, k) at path coordinates (m,)."""
+        row = np.clip(np.searchsorted(self._path.s, s) - 1, 0, len(self._path.s) - 2)
+        share = ((s - self._path.s[row]) / (self._path.s[row + 1] - self._path.s[row]))[:, None]
+        return lambda values: values[row] + share * (values[row + 1] - values[row])
+
+
+#: Of the limits of speed, acceleration and deceleration.
+Shares = tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,17 +236,6 @@ def _along(start_rad: Floats, end_rad: Floats, motion: Motion) -> TimeLaw:
     return TimeLaw((motion.q_rad - start_rad) @ line, motion.qd_rad_s @ line, motion.qdd_rad_s2 @ line)
 
 
-def _largest(kept: Callable[[float], bool]) -> float:
-    """Largest share between LEAST_SHARE and 1 that keeps the limits, by bisection of its logarithm."""
-    if kept(1.0):
-        return 1.0
-    low, high = LEAST_SHARE, 1.0
-    for _ in range(STEPS):
-        middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if kept(middle) else (low, middle)
-    return low
-
-
 def _limit_of_line(motion: Motion, law: TimeLaw, limits: MotionLimits, assumed: PathTorque) -> str:
     """Name the limits that a straight motion reaches: torque and load acceleration, else speed, acceleration, jerk."""
     torque = np.abs(assumed.torque_shares(law)).max(axis=0)
@@ -158,7 +267,11 @@ def stretched(path: JointPath, assumed: PathTorque) -> TimedSegment | None:
         at = law(rate)
         return np.append(np.abs(assumed.torque_shares(at)).max(axis=0), assumed.load_shares(at).max())
 
-    rate = _largest(lambda share: bool((used(share) <= 1.0).all()))
+    # the largest rate that keeps the limits, by bisection of its logarithm
+    rate, high = 1.0 if (used(1.0) <= 1.0).all() else LEAST_SHARE, 1.0
+    for _ in range(STEPS if rate < 1.0 else 0):
+        middle = float(np.sqrt(rate * high))
+        rate, high = (middle, high) if (used(middle) <= 1.0).all() else (rate, middle)
     shares = used(rate)
     if (shares > 1.0).any():
         return None

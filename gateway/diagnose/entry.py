@@ -12,7 +12,6 @@ from gateway.errors import DataUnusable, InputError
 from gateway.estimate import ESTIMATORS
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import load_result
-from gateway.identify.prior_loads import refuse_in_motion
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot
 from gateway.result.result import Finding, HoldoutKind, Result
@@ -60,7 +59,6 @@ def diagnose(
     moves = bool(table.moving.all())
     held, left_out = _held_out_of_kind(holdout, robot, moves=moves)
     if moves:
-        refuse_in_motion(knowledge.masses)
         gears = knowledge.efficiency, knowledge.coupling
         held = None if held is None else behind_gears(held, *gears)
         behind = replace(knowledge, efficiency=None, coupling=None)
@@ -72,7 +70,7 @@ def diagnose(
         refused = rest.refusal(read)
         result = refused or rest.report(rest.search(read), held, holdout_kind)
         if table.moving.any():
-            if not (refused or result.effects or knowledge.masses):
+            if not (refused or result.effects):
                 result = _of_both(result, table, robot, rest.stated)
             left_out = (*_beside(int(table.moving.sum()), "moving", "rest"), *left_out)
     return replace(result, findings=(*result.findings, *left_out)) if left_out else result

@@ -18,7 +18,6 @@ import numpy as np
 
 from drives.bus import EMCY_BASE, HEARTBEAT_BASE
 from drives.cia402 import QUICK_STOP, State, decode_state
-from drives.drive import Cia402Drive
 from drives.errors import ConfigurationRefused, DriveError
 from drives.heartbeat import MASTER_NODE_ID
 from drives.objects import OBJECTS
@@ -33,7 +32,7 @@ from gateway.drivetest.torque_age import NAME as AGE
 from gateway.drivetest.torque_age import modulated, torque_age
 from gateway.errors import FindingFailed, LimitExceeded, PlanRefused
 from gateway.motion.drive_limits import quick_stop_rad_s2
-from gateway.motion.observer import Observed
+from gateway.motion.observer import Observed, Observer
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import powered
 from gateway.motion.stream import MoveOptions
@@ -87,7 +86,7 @@ class PowerRun:
         return np.array(seen, dtype=float).reshape(-1, 4)
 
 
-class MotionRecord:
+class MotionRecord(Observer):
     """Observer of the motion loop that stores the answers of every run under power.
 
     Parameters
@@ -109,12 +108,6 @@ class MotionRecord:
         run.sent_s.append(self._group.sync_sent_s)
         run.time_s.append(sample.time_s)
         run.readings.append(sample.readings)
-
-    def reported(self, _event: object) -> None:
-        """Ignore events."""
-
-    def ended(self, _failure: BaseException | None) -> None:
-        """The arm is no longer under power."""
 
 
 class DriveTestRun:
@@ -145,7 +138,13 @@ class DriveTestRun:
         self._ramp_rad_s2 = quick_stop_rad_s2(opened.config, opened.profiles, opened.readings)
         self._frames, self._motion = FrameRecord(opened.group.bus), MotionRecord(opened)
         #: Reports by axis, from 0.
-        self._tested = {number: _report(number, opened.group.drives[number]) for number in sorted(numbers)}
+        self._tested: dict[int, DriveTestReport] = {}
+        keys = {"vendor": "vendor_id", "product": "product_code", "revision": "revision", "serial": "serial_number"}
+        keys |= {"firmware": "software_version", "name": "name"}
+        for number in sorted(numbers):
+            drive = opened.group.drives[number]
+            identity = {key: getattr(drive.identity, name, None) for key, name in keys.items()}
+            self._tested[number] = DriveTestReport(f"J{number + 1}", drive.node_id, identity)
         self.reports = list(self._tested.values())
         self.is_explained = True
 
@@ -378,11 +377,3 @@ def axes_named(names: Sequence[str], count: int) -> frozenset[int]:
     if wrong:
         raise ValueError(f"'{wrong[0]}' is not an axis of this arm: give one of {', '.join(known)}")
     return frozenset(known[name.upper()] for name in names) or frozenset(known.values())
-
-
-def _report(number: int, drive: Cia402Drive) -> DriveTestReport:
-    """Return the empty report of a drive."""
-    keys = {"vendor": "vendor_id", "product": "product_code", "revision": "revision", "serial": "serial_number"}
-    keys |= {"firmware": "software_version", "name": "name"}
-    identity = {key: getattr(drive.identity, name, None) for key, name in keys.items()}
-    return DriveTestReport(f"J{number + 1}", drive.node_id, identity)

@@ -26,7 +26,7 @@ from gateway.estimate.posture import estimate_posture
 from gateway.estimate.recommendation import next_pose, shrinks_most
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.rest_rows import fitted_rest
-from gateway.identify.prior_loads import BARE_LABEL, refuse_absent, refuse_in_motion
+from gateway.identify.prior_loads import BARE_LABEL, refuse_absent
 from gateway.identify.rejected import without_outliers
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits
@@ -64,8 +64,6 @@ def _visits(table: Table, knowledge: Knowledge) -> Visits:
 
 def _joint(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
     """Estimate with the joint method from the rest rows, or from the moving rows if there are no rest rows."""
-    if table.moving.any():
-        refuse_in_motion(knowledge.masses)
     if table.moving.all():
         return estimate_moving(table, robot, knowledge)
     if not table.moving.any():
@@ -101,7 +99,9 @@ def _together(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
     if gone:
         sound = sound.take(~np.isin(sound.load, list(gone)))
         rest = fitted_rest(sound, robot, knowledge) if len(sound) else None
-    found = estimate_moving(table.take(kept), robot, knowledge.of_loads(set(knowledge.known) - set(gone)), rest=rest)
+    found = estimate_moving(
+        table.take(kept), robot, knowledge.of_loads(set(knowledge.stated_loads) - set(gone)), rest=rest
+    )
     return replace(
         found,
         method="joint",
@@ -158,11 +158,11 @@ def estimate(
         return estimate_coefficient(table, knowledge, coefficient)
     if robot is None:
         raise ConfigError(f"--method {method} needs the robot model: give --robot R.urdf or --cell CELL")
-    refuse_absent(table.load, knowledge.masses)
+    refuse_absent(table.load, knowledge.weighed)
     knowledge = knowledge.of_robot(robot)
     found = ESTIMATORS[method](table, robot, knowledge)
     advice = [next_pose(load, robot, found.sigma_nm, knowledge, pose_choice) for load in found.loads]
-    advice += [shrinks_most(load) for load in found.loads if load.label not in knowledge.weighed]
+    advice += [shrinks_most(load) for load in found.loads if load.label not in knowledge.stated_loads]
     return replace(found, next=tuple(entry for entry in advice if entry is not None))
 
 

@@ -98,8 +98,11 @@ def estimate_coefficient(table: Table, knowledge: Knowledge, how: Coefficient | 
     if how.lever not in rest.extra:
         have = ", ".join(rest.extra) or "none"
         raise InputError(f"--lever {how.lever}: no such column in the data; extra columns there: {have}")
-    labels = refuse_absent(rest.load, [*knowledge.known, *knowledge.masses])
-    masses = {BARE_LABEL: 0.0, **knowledge.masses} | {label: value[0] for label, value in knowledge.known.items()}
+    labels = refuse_absent(rest.load, knowledge.stated_loads)
+    for label, load in knowledge.weighed.items():
+        if load.mass_std_kg > 0.0:
+            raise InputError(f"--known {label}: the coefficient method takes a known mass as exact; leave +-STD out")
+    masses = {BARE_LABEL: 0.0} | {label: load.mass_kg for label, load in knowledge.stated_loads.items()}
     reference_label = next((label for label in masses if label in labels), None)
     if reference_label is None:
         raise DataUnusable("the coefficient method needs rows without load (load 'none') or with a known one")

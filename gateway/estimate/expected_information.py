@@ -20,7 +20,7 @@ from gateway.identify.links import PER_LINK_AT_REST
 from gateway.identify.load_estimate import LoadEstimate, load_directions
 from gateway.identify.nuisance import BIAS_SHARE, change_covariance, gain_stds
 from gateway.identify.prior_loads import bare_rows
-from gateway.identify.rest.hypothesis_fit import fit_without_effects
+from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.problem import build_problem, open_link_prior
 from gateway.identify.rest.rest_loads import load_estimates
@@ -191,7 +191,8 @@ def take_stock(visits: Visits, robot: Robot, knowledge: Knowledge, sought: Sough
         As of the joint estimator, except that a single posture of the load is accepted.
     """
     problem = build_problem(robot, visits, knowledge)
-    fit = fit_without_effects(problem)
+    plain = fit_without_effects(problem)
+    fit = with_place_effects(problem, plain)
     wide = fit.null * _OPEN
     gain, offset = (problem.nuisance_part.start + KINDS.index(kind) * problem.axes for kind in ("gain", "bias"))
     gains = slice(gain, gain + problem.axes)
@@ -207,7 +208,7 @@ def take_stock(visits: Visits, robot: Robot, knowledge: Knowledge, sought: Sough
         index = problem.labels.index(sought.label)
         first, moment = problem.load_part(index).start, fit.loads[index]
         estimated = load_estimates(problem, fit, robot)[index]
-        against = refused_loads(problem, fit, robot, knowledge).get(sought.label)
+        against = refused_loads(problem, plain, robot, knowledge).get(sought.label)
         refused = None if against is None else against.refused
     else:
         covariance[gains, gains] += change_covariance(problem.axes, knowledge.change)

@@ -85,7 +85,9 @@ def to_result(
 
 
 def _findings(estimate: Estimate, robot: Robot | None, knowledge: Knowledge) -> list[Finding]:
-    out: list[Finding] = []
+    rows = estimate.rows if estimate.method in (*_AT_REST, "difference") else None
+    # a reversed sign is the cause of a refused load, so it is said first
+    out = [] if rows is None else reversed_signs(rows.band_nm)
     for load in estimate.loads:
         if load.refused is not None:
             out += refused_findings([load])
@@ -95,9 +97,8 @@ def _findings(estimate: Estimate, robot: Robot | None, knowledge: Knowledge) -> 
         out += no_body([load_result(load, robot)])
         if robot is not None:
             out += physical_findings(load, robot.last_link, hull_radius_m(robot))
-    if estimate.rows is not None and estimate.method in ("joint", "difference", "posture"):
-        out += _missing_axes(estimate.rows, robot, estimate.sigma_nm, knowledge)
-        out += _one_sided(estimate) + _misfit(estimate) + reversed_signs(estimate.rows.band_nm)
+    if rows is not None:
+        out += _missing_axes(rows, robot, estimate.sigma_nm, knowledge) + _one_sided(estimate) + _misfit(estimate)
     return out + _gear_losses(estimate)
 
 

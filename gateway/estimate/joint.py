@@ -11,6 +11,7 @@ from gateway.errors import DataUnusable
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import axis_sigma, describe
 from gateway.estimate.estimate import Estimate
+from gateway.identify.alternatives import spread_of_loads
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies
 from gateway.identify.gravity_sign import reversed_gravity
 from gateway.identify.knowledge import Knowledge
@@ -18,7 +19,7 @@ from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.mass_change import mass_changes
 from gateway.identify.model_conflict import ModelConflict
 from gateway.identify.prior_loads import require_postures, unknown_labels
-from gateway.identify.rest.hypothesis_fit import fit_without_effects
+from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_loads import per_pose_mass
@@ -66,7 +67,7 @@ def estimate_joint(
         gravity = reversed_gravity(robot, *settled.stated, knowledge)
         if settled.conflict is not None and not gravity:
             return _without_loads(settled, settled.conflict, robot)
-        found = describe(settled.problem, settled.fit, robot, settled.knowledge, settled.spread)
+        found = _described(settled, robot)
         return replace(found, findings=(*found.findings, *settled.findings, *gravity))
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(refused[label] for label in problem.labels if label in refused)
@@ -77,9 +78,16 @@ def estimate_joint(
     return replace(rest, loads=(*rest.loads, *others))
 
 
+def _described(settled: SettledKnowledge, robot: Robot) -> Estimate:
+    """Return the estimate of a fit with effects of places, widened by statements that may be wrong unseen."""
+    problem, knowledge = settled.problem, settled.knowledge
+    fit = with_place_effects(problem, settled.fit)
+    return describe(problem, fit, robot, knowledge, spread_of_loads(robot, problem, fit, knowledge))
+
+
 def _without_loads(settled: SettledKnowledge, conflict: ModelConflict, robot: Robot) -> Estimate:
     """Return the estimate of data that contradict the robot model: every load is refused with the reason."""
-    found = describe(settled.problem, settled.fit, robot, settled.knowledge, settled.spread)
+    found = _described(settled, robot)
     loads = tuple(refused_load(load.label, conflict.reason) for load in found.loads)
     return replace(found, loads=loads, findings=(*found.findings, *settled.findings, conflict.finding), bare=None)
 

@@ -21,7 +21,7 @@ from gateway.estimate.estimate import Estimate
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.prior_loads import BARE_LABEL, require_postures, unknown_labels
-from gateway.identify.rest.hypothesis_fit import fit_without_effects
+from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
 from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_loads import well_determined
 from gateway.identify.solve import solve
@@ -82,7 +82,7 @@ def estimate_posture(visits: Visits, robot: Robot, knowledge: Knowledge) -> Esti
 def _described(visits: Visits, robot: Robot, knowledge: Knowledge) -> Estimate:
     """Return the joint estimate of these visits."""
     problem = build_problem(robot, visits, knowledge)
-    return describe(problem, fit_without_effects(problem), robot, knowledge)
+    return describe(problem, with_place_effects(problem, fit_without_effects(problem)), robot, knowledge)
 
 
 def _bare(visits: Visits, robot: Robot, knowledge: Knowledge, base: BaseSet, labels: tuple[str, ...]) -> Bare:
@@ -91,7 +91,7 @@ def _bare(visits: Visits, robot: Robot, knowledge: Knowledge, base: BaseSet, lab
         refuse_other_bare(knowledge.bare, robot, knowledge.gravity_m_s2)
         return knowledge.bare
     if (visits.load == BARE_LABEL).any():
-        reported = replace(knowledge, known={}, masses={})
+        reported = replace(knowledge, known={}, weighed={})
         found = _described(visits.take(visits.load == BARE_LABEL), robot, reported).bare
         if found is not None:
             return found
@@ -161,7 +161,9 @@ def _same_span(first: Floats, second: Floats) -> bool:
 
 def _check(own: Visits, robot: Robot, alone: Knowledge, bare: Bare, label: str) -> tuple[Finding, ...]:
     """Report a difference from the unloaded arm that is not a rigid body on the flange."""
-    loaded = build_problem(robot, replace(own, load=np.full(len(own), BARE_LABEL)), replace(alone, known={}, masses={}))
+    loaded = build_problem(
+        robot, replace(own, load=np.full(len(own), BARE_LABEL)), replace(alone, known={}, weighed={})
+    )
     fit = fit_without_effects(loaded)
     combination = np.asarray(bare.combination)
     directions = np.zeros((len(combination), len(fit.scale)))

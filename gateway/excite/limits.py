@@ -15,7 +15,7 @@ from gateway.feedforward.load import FeedLoad
 from gateway.model.kinematics import joint_axes_origins, link_frames
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot
-from gateway.motion.torque_need import dry_friction_nm, links_with_loads, possible_loads
+from gateway.motion.drive_limits import dry_friction_nm, links_with_loads, possible_loads
 from gateway.motion.workspace import TORQUE_SHARE, TORQUE_SHARE_BARE, Workspace
 
 Floats = NDArray[np.float64]

@@ -30,8 +30,8 @@ from gateway.feedforward.identified import AxisConstants, axis_constants, read_i
 from gateway.feedforward.load import FeedLoad, assumed_load
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
+from gateway.motion.drive_limits import links_with_loads
 from gateway.motion.joint_path import angles
-from gateway.motion.torque_need import links_with_loads
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.pipeline.inputs import constants_std, profile_of
 from gateway.preflight.limits import refuse_beyond_counts

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from drives.files import place_file, replace_file, temporary_file
-from gateway.data.recording.lock import sole_writer
+from gateway.data.recording.writer import sole_writer
 from gateway.errors import InputError
 from gateway.fleet.columns import IDENTITY, SCHEMA, SCHEMA_KEY, columns
 from gateway.fleet.libraries import library

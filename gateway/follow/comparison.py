@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.feedforward.identified import notes_of
-from gateway.feedforward.load import FRAME, FeedLoad
-from gateway.follow.job import Prepared
-from gateway.follow.settings import FeedModel
+from gateway.feedforward.load import FRAME
+from gateway.follow.settings import Prepared
 from gateway.follow.track import Track, following
 from gateway.follow.trend import Trend, load_trend
 from gateway.result.follow import (
@@ -42,6 +41,12 @@ SIGMAS = 3.0
 NOTED_SHARE, FAILED_SHARE = 0.07, 0.10
 #: Ratio of errors above which an axis counts as worse than without feedforward.
 WORSE_RAD = 2e-5
+#: Keys of the cell file for terms that may be missing.
+KEYS = {
+    "rotor inertia": "rotor_inertia_kg_m2",
+    "Coulomb friction": "coulomb_nm",
+    "viscous friction": "viscous_nm_s_rad",
+}
 #: Number of axes drawn with torque and trend: those with the largest load torque.
 DRAWN_AXES = 2
 
@@ -49,70 +54,77 @@ DRAWN_AXES = 2
 def result_of(prepared: Prepared, tracks: Sequence[Track]) -> FollowResult:
     """Return a comparison as a result; `tracks` are the recorded passes, one per setting."""
     path, trend = prepared.path, None
+    loads: dict[str, FedLoad | None] = {}
     for setting, track in zip(prepared.settings, tracks, strict=True):
-        if setting.name == IDENTIFIED and setting.load is not None:
-            trend = load_trend(track, prepared.model, setting.load)
-    loads = {setting.name: None if setting.load is None else _load(setting.load) for setting in prepared.settings}
+        load = setting.load
+        loads[setting.name] = (
+            None
+            if load is None
+            else FedLoad(
+                label=load.label,
+                mass_kg=load.mass_kg,
+                mass_std_kg=load.mass_std_kg,
+                com_m=numbers(load.com_m),
+                frame=FRAME,
+                inertia_kg_m2=matrix(load.inertia_kg_m2),
+                source=load.source,
+                inertia_source=load.inertia_source,
+            )
+        )
+        if setting.name == IDENTIFIED and load is not None:
+            trend = load_trend(track, prepared.model, load)
     settings = tuple(following(track, loads[track.setting]) for track in tracks)
     peak = {setting.name: np.array(setting.peak_rad) for setting in settings}
+    over_off = {name: numbers(value / peak[OFF]) for name, value in peak.items() if name != OFF and OFF in peak}
+    both = IDENTIFIED in peak and MAXIMUM in peak
+    times = np.concatenate([track.computing_s[track.computing_s > 0] for track in tracks])
+    quantiles = (float(np.median(times)), float(np.percentile(times, 99)), float(times.max())) if len(times) else None
+    left_out = sum(int(np.isnan(track.measured_rad).any(axis=1).sum()) for track in tracks)
     return FollowResult(
         robot=prepared.model.robot.name,
         cell=prepared.loaded.cell.name,
         arm=prepared.arm.name,
         path=FollowedPath(path.name, prepared.path_file, path.duration_s, path.period_s),
         settings=settings,
-        ratio=_ratio(peak),
+        ratio=PeakRatio(over_off, numbers(peak[IDENTIFIED] / peak[MAXIMUM]) if both else None),
         trend=None if trend is None else trend.values,
         model=FedModel(prepared.model.links_source, prepared.model.sources),
-        computing_s=_computing(tracks),
-        left_out_syncs=_left_out(tracks),
-        findings=findings(prepared, tracks, trend, peak),
+        computing_s=None if quantiles is None else ComputingTime(*quantiles, len(times)),
+        left_out_syncs=left_out,
+        findings=findings(prepared, tracks, trend, peak, left_out),
         series=_series(tracks, trend),
     )
 
 
-def _load(load: FeedLoad) -> FedLoad:
-    return FedLoad(
-        label=load.label,
-        mass_kg=load.mass_kg,
-        mass_std_kg=load.mass_std_kg,
-        com_m=numbers(load.com_m),
-        frame=FRAME,
-        inertia_kg_m2=matrix(load.inertia_kg_m2),
-        source=load.source,
-        inertia_source=load.inertia_source,
-    )
-
-
-def _ratio(peak: Mapping[str, Floats]) -> PeakRatio:
-    over_off = {name: numbers(value / peak[OFF]) for name, value in peak.items() if name != OFF and OFF in peak}
-    both = IDENTIFIED in peak and MAXIMUM in peak
-    return PeakRatio(over_off, numbers(peak[IDENTIFIED] / peak[MAXIMUM]) if both else None)
-
-
-def _computing(tracks: Sequence[Track]) -> ComputingTime | None:
-    times = np.concatenate([track.computing_s[track.computing_s > 0] for track in tracks])
-    if not len(times):
-        return None
-    return ComputingTime(float(np.median(times)), float(np.percentile(times, 99)), float(times.max()), len(times))
-
-
-def _left_out(tracks: Sequence[Track]) -> int:
-    return sum(int(np.isnan(track.measured_rad).any(axis=1).sum()) for track in tracks)
-
-
 def findings(
-    prepared: Prepared, tracks: Sequence[Track], trend: Trend | None, peak: Mapping[str, Floats]
+    prepared: Prepared, tracks: Sequence[Track], trend: Trend | None, peak: Mapping[str, Floats], left_out: int
 ) -> tuple[Finding, ...]:
-    """Return the findings, the worst first; `peak` (6,) error of each setting [rad]."""
-    found = [*_load_finding(prepared, trend), *_worse(peak), *_missing(prepared.model)]
-    if left := _left_out(tracks):
+    """Return the findings, the worst first; `peak` (6,) error of each setting [rad], `left_out` SYNCs of the tracks."""
+    found = _load_finding(prepared, trend)
+    if OFF in peak and IDENTIFIED in peak:
+        what = "follows worse with the identified load than without feedforward"
+        advice = "check velocity_share in the drive profile, gear_efficiency and friction of this axis, and the load"
+        worse = np.flatnonzero(peak[IDENTIFIED] > peak[OFF] + WORSE_RAD)
+        found += [Finding("warn", f"J{axis + 1}", what, advice) for axis in worse]
+    found += [
+        Finding("info", joints, note) for joints, note in notes_of([axis.notes for axis in prepared.model.sources])
+    ]
+    found += [
+        Finding(
+            "info",
+            joints,
+            f"{name} is not in the offset: it is neither identified nor stated",
+            f"identify it (record --moving, estimate), or give {KEYS[name]} of these axes in the cell file",
+        )
+        for joints, name in notes_of([axis.missing for axis in prepared.model.sources])
+    ]
+    if left_out:
         total = sum(len(track.target_rad) for track in tracks)
         found.append(
             Finding(
                 "info",
                 "bus",
-                f"{left} of {total} SYNCs are left out because an answer was missing, delayed or repeated",
+                f"{left_out} of {total} SYNCs are left out because an answer was missing, delayed or repeated",
             )
         )
     order = ("fail", "warn", "info")
@@ -141,41 +153,6 @@ def _load_finding(prepared: Prepared, trend: Trend | None) -> list[Finding]:
     return [Finding(severity, where, said, advice)]
 
 
-def _worse(peak: Mapping[str, Floats]) -> list[Finding]:
-    if OFF not in peak or IDENTIFIED not in peak:
-        return []
-    worse = peak[IDENTIFIED] > peak[OFF] + WORSE_RAD
-    advice = "check velocity_share in the drive profile, gear_efficiency and friction of this axis, and the load"
-    return [
-        Finding("warn", f"J{axis + 1}", "follows worse with the identified load than without feedforward", advice)
-        for axis in np.flatnonzero(worse)
-    ]
-
-
-def _missing(model: FeedModel) -> list[Finding]:
-    lacking: dict[str, list[int]] = {}
-    for axis, source in enumerate(model.sources, start=1):
-        for name in source.missing:
-            lacking.setdefault(name, []).append(axis)
-    keys = {
-        "rotor inertia": "rotor_inertia_kg_m2",
-        "Coulomb friction": "coulomb_nm",
-        "viscous friction": "viscous_nm_s_rad",
-    }
-    return [
-        *(Finding("info", joints, note) for joints, note in notes_of([source.notes for source in model.sources])),
-        *(
-            Finding(
-                "info",
-                ", ".join(f"J{axis}" for axis in axes),
-                f"{name} is not in the offset: it is neither identified nor stated",
-                f"identify it (record --moving, estimate), or give {keys[name]} of these axes in the cell file",
-            )
-            for name, axes in lacking.items()
-        ),
-    ]
-
-
 # -- curves ------------------------------------------------------------------------------------------------------------
 
 
@@ -188,28 +165,17 @@ def _series(tracks: Sequence[Track], trend: Trend | None) -> FollowSeries:
     if fed is None or trend is None:
         return FollowSeries(curves)
     weight = np.nan_to_num(np.abs(trend.load_nm)).max(axis=0)
-    axes = np.sort(np.argsort(weight)[-DRAWN_AXES:]).tolist()
-    return FollowSeries(
-        curves,
-        tuple(_torque_curve(fed, axis) for axis in axes),
-        tuple(_cloud(trend, axis) for axis in axes),
-    )
-
-
-def _torque_curve(track: Track, axis: int) -> TorqueCurve:
-    rows = _spread_over(len(track.target_rad), CURVE_POINTS)
-    return TorqueCurve(
-        axis=axis + 1,
-        time_s=numbers(track.time_s[rows]),
-        measured_nm=numbers(track.torque_nm[rows, axis]),
-        offset_nm=numbers(track.torque_offset_nm[rows, axis]),
-    )
-
-
-def _cloud(trend: Trend, axis: int) -> TrendCloud:
-    known = np.flatnonzero(np.isfinite(trend.load_nm[:, axis]))
-    rows = known[_spread_over(len(known), CLOUD_POINTS)]
-    return TrendCloud(axis + 1, numbers(trend.load_nm[rows, axis]), numbers(trend.residual_nm[rows, axis]))
+    torques: list[TorqueCurve] = []
+    clouds: list[TrendCloud] = []
+    for axis in np.sort(np.argsort(weight)[-DRAWN_AXES:]).tolist():
+        rows = _spread_over(len(fed.target_rad), CURVE_POINTS)
+        measured_nm, offset_nm = numbers(fed.torque_nm[rows, axis]), numbers(fed.torque_offset_nm[rows, axis])
+        torques.append(TorqueCurve(axis + 1, numbers(fed.time_s[rows]), measured_nm, offset_nm))
+        known = np.flatnonzero(np.isfinite(trend.load_nm[:, axis]))
+        rows = known[_spread_over(len(known), CLOUD_POINTS)]
+        load_nm, residual_nm = numbers(trend.load_nm[rows, axis]), numbers(trend.residual_nm[rows, axis])
+        clouds.append(TrendCloud(axis + 1, load_nm, residual_nm))
+    return FollowSeries(curves, tuple(torques), tuple(clouds))
 
 
 def _spread_over(count: int, most: int) -> NDArray[np.int_]:

@@ -119,7 +119,10 @@ def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
             raise InputError(f"{file}: holds {len(points)} waypoints, the limit is {MOST_WAYPOINTS}")
         waypoints = _Waypoints(waypoints_rad=tuple(tuple(row) for row in points.tolist()))
     else:
-        waypoints = _read_toml(text, file)
+        try:
+            waypoints = read_strict(text, _Waypoints)
+        except Unfit as error:
+            raise InputError.of(error.messages(str(file))) from error
         _refuse_far(np.array(waypoints.waypoints_rad), str(file))
     return _waypoints(waypoints.name or file.stem, waypoints, workspace, period_s, str(file))
 
@@ -127,13 +130,6 @@ def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
 def _refuse_far(points: np.ndarray, where: str) -> None:
     if np.abs(points).max() > FARTHEST_RAD:
         raise InputError(f"{where}: an angle beyond {FARTHEST_RAD:g} rad; a path has joint angles in rad")
-
-
-def _read_toml(text: str, file: Path) -> _Waypoints:
-    try:
-        return read_strict(text, _Waypoints)
-    except Unfit as error:
-        raise InputError.of(error.messages(str(file))) from error
 
 
 def _read_csv(file: Path) -> tuple[np.ndarray | None, np.ndarray]:

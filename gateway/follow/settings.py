@@ -1,28 +1,34 @@
-"""The three settings of a comparison: no feedforward, feedforward with the maximum load, and with the identified
-load.
+"""Prepare `servo-gateway follow`: read and check the files, and make the three settings of the comparison.
+
+The settings are no feedforward, feedforward with the maximum load, and with the identified load.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drives.profile import DriveProfile
-from gateway.cell.config import ArmConfig
-from gateway.errors import PlanRefused
+from gateway.cell.config import ArmConfig, LoadedCell
+from gateway.errors import DataUnusable, PlanRefused
 from gateway.feedforward.dynamics import ArmDynamics
-from gateway.feedforward.identified import Identified
+from gateway.feedforward.identified import Identified, checked, read_identified
 from gateway.feedforward.law import AxisTerms, FeedforwardLaw
-from gateway.feedforward.load import FeedLoad, rated_load
+from gateway.feedforward.load import FeedLoad, check_origin, identified_load, rated_load
 from gateway.feedforward.parameters import corrected_parameters, drawn_parameters
 from gateway.feedforward.terms import axis_terms
-from gateway.follow.path import FollowPath
+from gateway.follow.path import FollowPath, check_path, read_path
+from gateway.model.arm_model import arm_robot
+from gateway.model.load_bounds import load_bounds
 from gateway.model.robot import Robot
+from gateway.motion.opening import axis_setups
+from gateway.motion.workspace import Workspace, workspace_of
 from gateway.result.follow import IDENTIFIED, MAXIMUM, OFF, AxisSources
-from gateway.result.result import Result
+from gateway.result.result import Result, read_result
 
 Floats = NDArray[np.float64]
 
@@ -65,6 +71,24 @@ class FeedModel:
         parameters = self.links.copy()
         parameters[50:] += load.parameters
         return FeedforwardLaw(ArmDynamics(self.robot, parameters, self.gravity_m_s2), self.axes, self.coupling)
+
+    def terms(self, name: str) -> Floats:
+        """Return one of the terms of `AxisTerms` of every axis (N,)."""
+        return np.array([getattr(axis, name) for axis in self.axes])
+
+    def friction_nm(self, carried_nm: Floats, rate_rad_s: Floats, side: Floats) -> Floats:
+        """Return the friction (n, N) [Nm] at the gear outputs, as `FeedforwardLaw` computes it for one instant.
+
+        Parameters
+        ----------
+        carried_nm, rate_rad_s : arrays of shape (n, N)
+            Torque at the gear outputs without friction, and their angular speeds.
+        side : array of shape (n, N)
+            Direction of friction by sign.
+        """
+        onset = self.terms("onset_nm") * np.exp(-((rate_rad_s / self.terms("stribeck_rad_s")) ** 2))
+        dry = self.terms("coulomb_nm") + onset + self.terms("load_friction") * np.abs(carried_nm)
+        return dry * side + self.terms("viscous_nm_s_rad") * rate_rad_s
 
 
 def feed_model(
@@ -152,3 +176,88 @@ def check_offsets(path: FollowPath, settings: Sequence[Setting], arm: str) -> No
                         " slow the path down, or correct load and torque_limit_nm"
                     )
             begun_s += motion.duration_s + path.dwell_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """Job after all checks that need no bus.
+
+    Attributes
+    ----------
+    loaded : LoadedCell
+    arm : ArmConfig
+    workspace : Workspace
+    path : FollowPath
+    path_file : str
+    model : FeedModel
+    settings : tuple of Setting
+    """
+
+    loaded: LoadedCell
+    arm: ArmConfig
+    workspace: Workspace
+    path: FollowPath
+    path_file: str
+    model: FeedModel
+    settings: tuple[Setting, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Time of all passes of the path, without the transfer motions between them."""
+        return len(self.settings) * self.path.duration_s
+
+
+def prepare(
+    loaded: LoadedCell, arm: ArmConfig, path_file: Path, load_file: Path | None, label: str | None = None
+) -> Prepared:
+    """Read and check path, load, cell and profiles; no bus is opened and nothing moves.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    arm : ArmConfig
+    path_file : Path
+        TOML or CSV, see `gateway.follow.path`.
+    load_file : Path or None
+        Result JSON of `estimate`, `diagnose` or `commission`.
+    label : str, optional
+        Label of the load in the result.
+
+    Raises
+    ------
+    ConfigError
+        A profile lacks the objects, a link is unknown, or there is no rated load.
+    InputError
+        A file cannot be used, a load is of another robot, cell, arm or frame, or constants contradict each other.
+    DataUnusable
+        The result holds no identified load.
+    PlanRefused
+        The path leaves the workspace, or an offset reaches its limit.
+    """
+    _, load, model = loaded_model(loaded, arm, load_file, label)
+    settings = three_settings(arm, model, load)
+    workspace = workspace_of(arm, model.robot)
+    path = read_path(path_file, workspace, loaded.cell.bus[arm.bus].sync_period_s)
+    check_path(path, workspace)
+    check_offsets(path, settings, arm.name)
+    return Prepared(loaded, arm, workspace, path, str(path_file), model, settings)
+
+
+def loaded_model(
+    loaded: LoadedCell, arm: ArmConfig, load_file: Path | None, label: str | None, *, fed: bool = True
+) -> tuple[Result, FeedLoad, FeedModel]:
+    """Result, its load, and the model of the arm; `fed` as in `feed_model`; raises as `prepare`."""
+    if load_file is None:
+        raise DataUnusable(
+            "no identified load: give --load RESULT.json, as `servo-gateway estimate DATA --json RESULT.json` or "
+            "`commission` writes it for this cell"
+        )
+    robot = arm_robot(loaded, arm)
+    profiles = [setup.profile for setup in axis_setups(loaded, arm)]
+    result, where = read_result(load_file), str(load_file)
+    check_origin(result, loaded, arm, robot, where)
+    load = identified_load(result, label, where, load_bounds(robot, arm))
+    identified = read_identified(loaded, arm, robot)
+    if identified is None and result.motion:
+        identified = checked(result, where, robot.axes)
+    return result, load, feed_model(arm, robot, profiles, result, identified, fed=fed)

@@ -99,19 +99,15 @@ class Recorder:
         )
         velocity, offset = (np.array([row[part] for row in fed], dtype=float).reshape(-1, 6) for part in range(2))
         computing = np.array([row[2] for row in fed], dtype=float)
-        measured = np.where(_doubtful(target, measured)[:, None], np.nan, measured)
+        # readings that are missing, may be delayed, or are old ones
+        missing: NDArray[np.bool_] = np.asarray(~np.isfinite(measured).all(axis=1))
+        doubtful = missing.copy()
+        for step in range(1, DOUBTFUL_ROWS + 1):
+            doubtful[step:] |= missing[:-step]
+        moved = np.abs(np.diff(target, axis=0, prepend=target[:1])).max(axis=1) > STALE_MOTION_RAD
+        repeated = np.abs(np.diff(np.nan_to_num(measured), axis=0, prepend=np.inf)).max(axis=1) == 0.0
+        measured = np.where((doubtful | (moved & repeated))[:, None], np.nan, measured)
         return Track(self.setting, self.period_s, target, measured, torque, velocity, offset, computing)
-
-
-def _doubtful(target: Floats, measured: Floats) -> NDArray[np.bool_]:
-    """Return a mask (n,) of rows whose reading is missing, may be delayed, or is an old one."""
-    missing: NDArray[np.bool_] = np.asarray(~np.isfinite(measured).all(axis=1))
-    out = missing.copy()
-    for step in range(1, DOUBTFUL_ROWS + 1):
-        out[step:] |= missing[:-step]
-    moved = np.abs(np.diff(target, axis=0, prepend=target[:1])).max(axis=1) > STALE_MOTION_RAD
-    repeated = np.abs(np.diff(np.nan_to_num(measured), axis=0, prepend=np.inf)).max(axis=1) == 0.0
-    return np.asarray(out | (moved & repeated))
 
 
 def following(track: Track, load: FedLoad | None = None) -> FollowedSetting:

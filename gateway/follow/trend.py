@@ -86,24 +86,32 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     used &= np.abs(np.gradient(np.sign(rates), axis=0)) == 0
     if used.sum() < LEAST_ROWS:
         return None
-    behind, friction = _behind_gears(track, model, (rates, accelerations), arm + own)
+    measured = np.nan_to_num(track.torque_nm) * model.terms("torque_sign") * model.terms("ratio")
+    fed = measured - model.terms("rotor_kg_m2") * accelerations
+    behind = fed * model.terms("efficiency") ** np.sign(fed * rates)
+    friction = model.friction_nm(arm + own, rates, np.sign(rates))
     residual = np.where(used, behind - friction - arm - own, 0.0)
     own_axis = np.eye(len(model.axes))
     lost = (np.sign(rates) * np.abs(arm + own))[:, :, None] * own_axis
     nuisance = np.concatenate([friction_columns(rates, accelerations, FRICTION, SMOOTH_RAD_S), lost], axis=2)
     moment = np.einsum("nij,ik->nkj", columns[:, :, 50:54], to_gear)
-    problem = _Problem(residual, nuisance, used)
-    scale, scale_std, left = problem.solve(own[:, :, None])
-    change, stds, _ = problem.solve(moment)
-    mass, mass_std, com, com_std = _as_load(load, change, stds)
+    # each axis is weighted by its residual without the load
+    alone = _solved(residual, nuisance, used, np.ones(used.shape)).residual.reshape(used.shape)
+    sigma_nm = np.sqrt((alone**2).sum(axis=0) / np.maximum(used.sum(axis=0), 1))
+    inverse = np.where(sigma_nm > 0, 1.0 / np.maximum(sigma_nm, 1e-9), 0.0)
+    weight = np.broadcast_to(inverse, used.shape)
+    scale, scale_std, left = _regressed(residual, own[:, :, None], nuisance, used, weight)
+    change, stds, _ = _regressed(residual, moment, nuisance, used, weight)
+    mass_kg = float(load.mass_kg + change[0])
+    com_m = (load.mass_kg * load.com_m + change[1:]) / mass_kg
     return Trend(
         values=FedTrend(
             scale=float(scale[0]),
             scale_std=float(scale_std[0]),
-            mass_kg=mass,
-            mass_std_kg=mass_std,
-            com_m=numbers(com),
-            com_std_m=numbers(com_std),
+            mass_kg=mass_kg,
+            mass_std_kg=float(stds[0]),
+            com_m=numbers(com_m),
+            com_std_m=numbers(np.sqrt(stds[1:] ** 2 + (com_m * stds[0]) ** 2) / abs(mass_kg)),
             rms_nm=numbers(np.sqrt(np.sum(left**2, axis=0) / np.maximum(used.sum(axis=0), 1))),
         ),
         load_nm=np.where(used, own, np.nan),
@@ -111,69 +119,28 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     )
 
 
-def _behind_gears(
-    track: Track, model: FeedModel, motion: tuple[Floats, Floats], carried: Floats
-) -> tuple[Floats, Floats]:
-    """Return measured torque behind the gears, and modelled friction (n, 6) [Nm]."""
-    rates, accelerations = motion
-    ratio = np.array([axis.torque_sign * axis.ratio for axis in model.axes])
-    rotor = np.array([axis.rotor_kg_m2 for axis in model.axes])
-    efficiency = np.array([axis.efficiency for axis in model.axes])
-    coulomb = np.array([axis.coulomb_nm for axis in model.axes])
-    viscous = np.array([axis.viscous_nm_s_rad for axis in model.axes])
-    load = np.array([axis.load_friction for axis in model.axes])
-    onset = np.array([axis.onset_nm for axis in model.axes])
-    slow = np.array([axis.stribeck_rad_s for axis in model.axes])
-    fed = np.nan_to_num(track.torque_nm) * ratio - rotor * accelerations
-    behind = fed * efficiency ** np.sign(fed * rates)
-    dry = coulomb + load * np.abs(carried) + onset * np.exp(-((rates / slow) ** 2))
-    return behind, dry * np.sign(rates) + viscous * rates
+def _solved(residual: Floats, columns: Floats, used: NDArray[np.bool_], weight: Floats) -> Solution:
+    """Solve for `columns` (n, 6, k), whose rows are grouped by axis."""
+    axis = np.tile(np.arange(used.shape[1]), len(used))
+    design = ByGroup.of((columns * used[:, :, None]).reshape(axis.size, -1), axis)
+    return solve(design, residual.ravel(), weight.ravel(), tolerance=TOLERANCE)
 
 
-class _Problem:
-    """Least squares with nuisance columns per axis; each axis is weighted by its residual without the load."""
+def _regressed(
+    residual: Floats, columns: Floats, nuisance: Floats, used: NDArray[np.bool_], weight: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return values and standard deviations (k,) of `columns` (n, 6, k), and the residual (n, 6).
 
-    def __init__(self, residual: Floats, nuisance: Floats, used: NDArray[np.bool_]) -> None:
-        self._residual, self._nuisance, self._used = residual, nuisance, used
-        alone = self._solved(nuisance, np.ones(used.shape))
-        squares = (alone.residual.reshape(used.shape) ** 2).sum(axis=0)
-        sigma_nm = np.sqrt(squares / np.maximum(used.sum(axis=0), 1))
-        inverse = np.where(sigma_nm > 0, 1.0 / np.maximum(sigma_nm, 1e-9), 0.0)
-        self._weight = np.broadcast_to(inverse, used.shape)
-
-    def _solved(self, columns: Floats, weight: Floats) -> Solution:
-        axis = np.tile(np.arange(columns.shape[1]), len(columns))
-        design = ByGroup.of(_flat(columns * self._used[:, :, None]), axis)
-        return solve(design, self._residual.ravel(), weight.ravel(), tolerance=TOLERANCE)
-
-    def solve(self, columns: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return values and standard deviations (k,) of `columns` (n, 6, k), and the residual (n, 6).
-
-        A direction that the rows do not determine is NaN.
-        """
-        count, rows = columns.shape[2], len(columns)
-        both = np.concatenate([columns, self._nuisance], axis=2) * self._used[:, :, None]
-        found = self._solved(both, self._weight)
-        std = np.sqrt(np.diag(jackknife(self._left_out(found, rows)))[:count])
-        known = np.where(determined(found, np.eye(count, both.shape[2]), OPEN_SHARE), 1.0, np.nan)
-        return known * found.value[:count], known * std, found.residual.reshape(self._used.shape)
-
-    def _left_out(self, found: Solution, rows: int) -> Floats:
-        """Return the change of the solution when each block of time is left out (BLOCKS, p)."""
-        block = np.repeat(np.arange(rows) * BLOCKS // rows, self._used.shape[1])
-        basis, left = found.orthogonal, found.residual * self._weight.ravel()
-        parts = [(basis[block == number], left[block == number]) for number in range(BLOCKS)]
-        changes = [np.linalg.lstsq(np.eye(found.rank) - own.T @ own, own.T @ rest)[0] for own, rest in parts]
-        return np.array(changes) @ found.basis.inverse.T
-
-
-def _flat(columns: Floats) -> Floats:
-    return columns.reshape(-1, columns.shape[2])
-
-
-def _as_load(load: FeedLoad, change: Floats, std: Floats) -> tuple[float, float, Floats, Floats]:
-    """Return mass and centre of gravity of the load in the feedforward plus a change of [mass, first moment]."""
-    mass = load.mass_kg + change[0]
-    com = (load.mass_kg * load.com_m + change[1:]) / mass
-    spread = np.sqrt(std[1:] ** 2 + (com * std[0]) ** 2) / abs(mass)
-    return float(mass), float(std[0]), com, spread
+    A direction that the rows do not determine is NaN.
+    """
+    count, rows = columns.shape[2], len(columns)
+    both = np.concatenate([columns, nuisance], axis=2)
+    found = _solved(residual, both, used, weight)
+    # change of the solution when each block of time is left out
+    block = np.repeat(np.arange(rows) * BLOCKS // rows, used.shape[1])
+    basis, left = found.orthogonal, found.residual * weight.ravel()
+    parts = [(basis[block == number], left[block == number]) for number in range(BLOCKS)]
+    changes = [np.linalg.lstsq(np.eye(found.rank) - own.T @ own, own.T @ rest)[0] for own, rest in parts]
+    std = np.sqrt(np.diag(jackknife(np.array(changes) @ found.basis.inverse.T))[:count])
+    known = np.where(determined(found, np.eye(count, both.shape[2]), OPEN_SHARE), 1.0, np.nan)
+    return known * found.value[:count], known * std, found.residual.reshape(used.shape)

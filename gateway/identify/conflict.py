@@ -9,7 +9,7 @@ Box 1980 (predictive checks), Evans and Moshonov 2006 (conflict of prior and dat
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -21,7 +21,6 @@ from gateway.identify.alternatives import (
     LINK_SCALE,
     LINK_SPREADS,
     PRIOR_ODDS,
-    spread_of_loads,
     wider_statements,
     wider_std,
 )
@@ -52,10 +51,9 @@ _ROUNDS: Final = 3
 class SettledKnowledge:
     """Knowledge after the tests, the fit with it, and the contradicted statements.
 
-    `stated` is the problem and the fit with the stated knowledge. `spread` (labels, 4, 4) is, by source, the covariance
-    of [m, h] due to possible errors of statements that are not contradicted. `log_odds` are the posterior log odds of
-    the first widened group against the model without effects. `conflict` is one with the robot model so large that no
-    load may be given.
+    `stated` is the problem and the fit with the stated knowledge. `log_odds` are the posterior log odds of the first
+    widened group against the model without effects. `conflict` is one with the robot model so large that no load may be
+    given.
     """
 
     stated: tuple[RestProblem, Fit]
@@ -63,7 +61,6 @@ class SettledKnowledge:
     problem: RestProblem
     fit: Fit
     findings: tuple[Finding, ...]
-    spread: Mapping[str, Floats] = field(default_factory=dict)
     log_odds: float = 0.0
     conflict: ModelConflict | None = None
 
@@ -97,10 +94,9 @@ def settle(
             log_odds = odds + float(np.log(PRIOR_ODDS))
         settled, problem, fit = wider, other, refitted
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
-    spread = spread_of_loads(robot, problem, fit, settled)
     contradicted = settled.trust != trusted.trust or settled.gain_std != trusted.gain_std
     large = model_conflict(robot, *stated, trusted) if contradicted else None
-    return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread, log_odds, large)
+    return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), log_odds, large)
 
 
 def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wider: Knowledge) -> bool:
@@ -130,11 +126,10 @@ def _wider_knowledge(
         return replace(knowledge, link_std=wider), link_odds
     if found is None:
         return None, 0.0
-    weighed = knowledge.known or knowledge.masses
     if (
         found.gain_std != knowledge.gain_std
         and np.isfinite(knowledge.trust)
-        and not weighed
+        and not knowledge.stated_loads
         and _unloaded(problem, knowledge)
     ):
         # constants and links contradict each other, and the rows cannot decide which are wrong: the arm is measured, so
@@ -176,8 +171,8 @@ def _contradicted(
     """Report the contradicted statements by the settled fit, each with its difference in standard deviations and both
     values.
     """
-    for label in stated.weighed:
-        if label not in settled.weighed:
+    for label in stated.stated_loads:
+        if label not in settled.stated_loads:
             yield load_contradicted(robot, problem, fit, stated, label)
     if settled.trust != stated.trust:
         yield _links_contradicted(robot, problem, fit, stated, settled)
@@ -285,8 +280,7 @@ def two_bodies(robot: Robot, rows: Visits, knowledge: Knowledge) -> Mapping[str,
         apart = np.where(
             rows.load == label, np.char.add(f"{label}{_APART}", rows.run.astype(str)), rows.load.astype(str)
         )
-        masses = {name: mass for name, mass in knowledge.masses.items() if name != label}
-        problem = build_problem(robot, replace(rows, load=apart), replace(knowledge, masses=masses))
+        problem = build_problem(robot, replace(rows, load=apart), knowledge.without_load(label))
         fit = fit_without_effects(problem)
         first, *others = (problem.load_part(problem.labels.index(f"{label}{_APART}{run}")) for run in runs)
         for run, other in zip(runs[1:], others, strict=True):

@@ -108,8 +108,7 @@ def nearest_body(ten: Floats, covariance: Floats) -> FittedBody:
         lambda unknown: whiten @ (_body(unknown, ten[0]) - ten),
         start,
         jac=lambda unknown: whiten @ _body_directions(unknown, ten[0]),  # pyright: ignore[reportArgumentType]
-        x_scale="jac",
-        max_nfev=100,
+        max_nfev=1000,
     )
     return FittedBody(_body(found.x, ten[0]), False)
 

@@ -17,7 +17,7 @@ from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import load_directions
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.problem import EXACT, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_loads import well_determined
 from gateway.model.robot import Robot, reach_m
 from gateway.result.finding import Finding
@@ -39,7 +39,7 @@ def least_supported(
     """
     tried = [
         (_free_odds(robot, problem, fit, knowledge, label), knowledge.without_load(label))
-        for label in knowledge.weighed
+        for label in knowledge.stated_loads
     ]
     odds, freed = max(tried, key=lambda each: each[0], default=(-np.inf, None))
     return freed, float(odds)
@@ -47,12 +47,12 @@ def least_supported(
 
 def _free_odds(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge, label: str) -> float:
     """Log marginal likelihood of a free load over that of the stated one."""
-    mass_kg, *centre = knowledge.known.get(label, (knowledge.masses.get(label, 0.0),))
-    if not mass_kg > 0.0:
+    load = knowledge.stated_loads[label]
+    if not load.mass_kg > 0.0:
         return -np.inf
-    stated = mass_kg * np.array([1.0, *(centre or (0.0,) * 3)])
-    std = mass_kg * np.array([_WRONG_MASS, *[_WRONG_CENTRE * reach_m(robot)] * 3])
-    held = 1 + len(centre)
+    stated = load.mass_kg * np.array([1.0, *(load.com_m or (0.0,) * 3)])
+    std = load.mass_kg * np.array([_WRONG_MASS, *[_WRONG_CENTRE * reach_m(robot)] * 3])
+    held = 1 if load.com_m is None else 4
     freed = build_problem(robot, problem.rows, knowledge.without_load(label), problem.nuisance.changes)
     prior = np.zeros((held, freed.n_common))
     prior[:, freed.load_part(freed.labels.index(label))] = np.diag(1.0 / std)[:held]
@@ -61,7 +61,10 @@ def _free_odds(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledg
         prior_rows=np.vstack([freed.prior_rows, prior]),
         prior_target=np.append(freed.prior_target, (stated / std)[:held]),
     )
-    before = fit.evidence - (0.0 if centre else float(np.log(EXACT * mass_kg)))
+    before = fit.evidence
+    if label in knowledge.weighed:  # the norm of its prior; a load that is known exactly has none
+        rows, _ = load.rows()
+        before += float(np.sum(np.log(np.diag(rows[:, :held]))))
     return fit_without_effects(freed).evidence - float(np.sum(np.log(std[:held]))) - before
 
 
@@ -69,14 +72,16 @@ def load_contradicted(
     robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, label: str
 ) -> tuple[float, Finding]:
     """Report a stated load that the measurement contradicts, with the standard deviations by which it differs."""
-    mass_kg, *centre = stated.known.get(label, (stated.masses.get(label, 0.0),))
+    load = stated.stated_loads[label]
+    mass_kg, centre = load.mass_kg, load.com_m or ()
     moment, part = fit.loads[problem.labels.index(label)], problem.load_part(problem.labels.index(label))
     turn = np.zeros((4, len(fit.scale)))
     turn[:, part] = load_directions(moment)
     std = np.sqrt(np.maximum(np.diag(turn @ fit.covariance @ turn.T), 1e-18))
     std = np.where(well_determined(problem, fit, np.eye(len(fit.scale))[part]), std, np.inf)
     found = np.array([moment[0], *(moment[1:] / moment[0])])
-    away = np.abs(found - np.array([mass_kg, *centre, *found[1 + len(centre) :]])) / std
+    away = np.abs(found - np.array([mass_kg, *centre, *found[1 + len(centre) :]]))
+    away /= np.hypot(std, [load.mass_std_kg, *[load.com_std_m] * 3])
     longest_m = reach_m(robot)
     by_mass = bool(away[0] >= away[1:].max()) or not (std[1:] < longest_m).all()
     if by_mass:

@@ -103,7 +103,7 @@ def _likeliest(problem: RestProblem, fit: Fit, order: Ints) -> int:
     own = place[problem.visit[rows]]
     sums = [np.bincount(own, column, len(order)) for column in np.hstack(products).T]
     size, slope = np.split(np.cumsum(sums, axis=1).T, [16], axis=1)
-    taken = fit.columns.across_by(body / fit.weighed_by[rows, None], rows, own, len(order))
+    taken = fit.columns.across_by(body / fit.weighed_by.of_rows(problem)[rows, None], rows, own, len(order))
     shared = fit.inverse.T @ np.cumsum(taken, axis=0)
     left = np.linalg.pinv(size.reshape(-1, 4, 4) - shared.transpose(0, 2, 1) @ shared, rcond=1e-6, hermitian=True)
     gains = np.einsum("vi,vij,vj->v", slope, left, slope)[::-1]

@@ -55,20 +55,6 @@ def refuse_absent(present: Iterable[str], known: Iterable[str]) -> tuple[str, ..
     return labels
 
 
-def refuse_in_motion(masses: Mapping[str, float]) -> None:
-    """Refuse loads with a known mass and unknown centre in motion: moving rows need the centre.
-
-    Raises
-    ------
-    InputError
-    """
-    for label, mass_kg in masses.items():
-        raise InputError(
-            f"--known {label}={mass_kg:g}: a load without its centre of gravity is known to rows at rest alone, and the"
-            f" data hold rows in motion; state {label}={mass_kg:g},X,Y,Z, or leave the rows in motion out"
-        )
-
-
 def require_postures(q_rad: Floats, label: str) -> None:
     """Refuse a load that was measured in a single posture, from the joint angles (n, N) of its visits.
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from gateway.acquire.goto import LOADING, Destination, destination, plan_transfer
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
-from gateway.acquire.planning import make_plan
-from gateway.acquire.requested_poses import postures_to_ask
+from gateway.acquire.planning import make_plan, postures_to_ask
 from gateway.acquire.session import RecordRequest
 from gateway.acquire.thermal import Block, blocks_of, bracket_of, warm_up
 from gateway.acquire.until import LoadSearch, NextStep, decide, search_of

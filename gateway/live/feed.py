@@ -18,8 +18,7 @@ from gateway.live import wire
 from gateway.live.drawing import shown_arm
 from gateway.live.wire import CommandOver, Ended, Happened, PoseSeen, ShownCell
 from gateway.motion.arms import Arms
-from gateway.motion.observed_fields import fill
-from gateway.motion.observer import MotionProgress, Observed
+from gateway.motion.observer import MotionProgress, Observed, Observer, fill
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import SAFE, Phase, StateTracker
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
@@ -44,7 +43,7 @@ START_S: Final = 30.0
 _NUMBER_OF: Final = {phase: float(number) for number, phase in enumerate(PHASES)}
 
 
-class Feed:
+class Feed(Observer):
     """Observer that forwards samples and events to the page, and a source of stop requests.
 
     Parameters

@@ -32,7 +32,7 @@ MOST_BYTES: Final = 65536
 #: Numbers of a row before those of the arms: when it was sent (monotonic) [s], SYNC, time of the run [s], phase, and
 #: SYNCs of this command not answered by some drive.
 HEAD: Final = 5
-#: Numbers per axis, as named by `gateway.motion.observed_fields`; the position follows `target_rad`.
+#: Numbers per axis, as named by `gateway.motion.observer`; the position follows `target_rad`.
 SHOWN: Final = ("q_rad", "target_rad", "joint_torque_nm", "modelled_torque_nm", "statusword")
 PER_AXIS: Final = len(SHOWN)
 

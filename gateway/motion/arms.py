@@ -38,11 +38,21 @@ _PAUSE_S: Final = 0.01
 _KEPT: Final = 100_000
 
 
-def _first_cause(failures: Sequence[BaseException]) -> BaseException:
-    """Return the first cause with the other failures as notes; arms stopped by another arm are not a cause.
+def _each(jobs: Sequence[Callable[[], Result]]) -> tuple[Result, ...]:
+    """Run the jobs and return their results; when all have ended, raise the first cause with the others as notes.
 
-    Failures while stopping of every arm are kept: with one of them the state of the arms is not known.
+    Arms stopped by another arm are not a cause. Failures while stopping of every arm are kept: with one of them the
+    state of the arms is not known.
     """
+    results: list[Result] = []
+    failures: list[BaseException] = []
+    for job in jobs:
+        try:
+            results.append(job())
+        except BaseException as error:
+            failures.append(error)
+    if not failures:
+        return tuple(results)
     first_hand = [error for error in failures if not isinstance(error, StopRequested)]
     first_hand.sort(key=lambda error: isinstance(error, NotStoodDown))
     cause = (first_hand or failures)[0]
@@ -52,21 +62,7 @@ def _first_cause(failures: Sequence[BaseException]) -> BaseException:
     for error in first_hand:
         if error is not cause:
             cause.add_note(f"another arm: {error}")
-    return cause
-
-
-def _each(jobs: Sequence[Callable[[], Result]]) -> tuple[Result, ...]:
-    """Run the jobs in threads and return their results; raise the first cause when all have ended."""
-    results: list[Result] = []
-    failures: list[BaseException] = []
-    for job in jobs:
-        try:
-            results.append(job())
-        except BaseException as error:
-            failures.append(error)
-    if failures:
-        raise _first_cause(failures)
-    return tuple(results)
+    raise cause
 
 
 class Arms:

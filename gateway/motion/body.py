@@ -162,17 +162,13 @@ def _link(arm: ArmConfig, robot: Robot, link: int) -> Part:
         return Part(name, link, tuple(solids), GEOMETRY, known=True)
     radius, words = stated_radius_m(arm, robot, link)
     words = f"{words} ({'; '.join(unusable)})" if unusable else words
-    return Part(name, link, (*solids, solid_capsule(_bone(robot, link, radius))), words, known=False)
-
-
-def _bone(robot: Robot, link: int, radius_m: float) -> Capsule:
-    """Return the capsule from a link's joint to the next one; for the last link to the flange."""
+    # from the link's joint to the next one; for the last link to the flange
     start = np.zeros(3)
     end = robot.placement[link + 1, :3, 3] if link + 1 < robot.axes else _flange(robot)[:3, 3]
     length = float(np.linalg.norm(end))
     if link == 1 and length > 0.0:
-        start = min(radius_m / length, 1.0) * end
-    return Capsule(start, end, radius_m)
+        start = min(radius / length, 1.0) * end
+    return Part(name, link, (*solids, solid_capsule(Capsule(start, end, radius))), words, known=False)
 
 
 def _flange(robot: Robot) -> Floats:

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from gateway.cell.config import ArmConfig
 from gateway.model.robot import Robot, reach_m
 from gateway.motion.body import BASE, LOAD, Body, base_and_link_frames, body_of_parts, moving_parts
-from gateway.motion.convex_distance import TOLERANCE_M, Exact
-from gateway.motion.segment_distance import segment_box_distance, segment_segment_distance
+from gateway.motion.convex_distance import TOLERANCE_M, Exact, segment_box_distance, segment_segment_distance
 from gateway.motion.surroundings import Plane, surroundings_of
 
 Floats = NDArray[np.float64]
@@ -121,49 +120,53 @@ class Space:
         for kind, distance in ((SOLID, self._solids), (BOX, self._boxes), (PLANE, self._planes)):
             rows = np.flatnonzero(self.pairs.kind[pair] == kind)
             if len(rows):
-                which = pair[rows]
-                clearance = self.pairs.clearance_m[which]
-                at = _Items(posture[rows], self.pairs.first[which], self.pairs.other[which], enough_m[rows] + clearance)
-                out[rows] = distance(frames, segments, at) - clearance
+                first, other = self.pairs.first[pair[rows]], self.pairs.other[pair[rows]]
+                clearance = self.pairs.clearance_m[pair[rows]]
+                enough = enough_m[rows] + clearance
+                out[rows] = distance(frames, segments, posture[rows], first, other, enough) - clearance
         return out
 
-    def _solids(self, frames: Floats, segments: Floats, at: _Items) -> Floats:
-        first, other = segments[at.posture, at.first], segments[at.posture, at.other]
-        thick = self.body.radius_m[at.first] + self.body.radius_m[at.other]
-        half = (
-            np.linalg.norm(first[:, 1] - first[:, 0], axis=1) + np.linalg.norm(other[:, 1] - other[:, 0], axis=1)
-        ) / 2
-        found = np.linalg.norm(first.mean(axis=1) - other.mean(axis=1), axis=1) - half - thick
-        near = np.flatnonzero(found <= at.enough_m)
-        found[near] = segment_segment_distance(first[near], other[near]) - thick[near]
-        plain = self.exact.plain[at.first] & self.exact.plain[at.other]
-        for row in np.flatnonzero((found <= np.minimum(at.enough_m, CLOSE_M)) & ~plain):
-            placed = frames[at.posture[row]]
-            found[row] = self.exact.solids_m(placed, at.first[row], at.other[row])
+    # Distances (m,) of one kind of pairs, or lower bounds above `enough_m`, at frames (n, N + 1, 4, 4) and segments
+    # (n, k, 2, 3) of postures.
+
+    def _solids(
+        self, frames: Floats, segments: Floats, posture: Rows, first: Rows, other: Rows, enough_m: Floats
+    ) -> Floats:
+        one, two = segments[posture, first], segments[posture, other]
+        thick = self.body.radius_m[first] + self.body.radius_m[other]
+        half = (_length(one) + _length(two)) / 2
+        found = np.linalg.norm(one.mean(axis=1) - two.mean(axis=1), axis=1) - half - thick
+        near = np.flatnonzero(found <= enough_m)
+        found[near] = segment_segment_distance(one[near], two[near]) - thick[near]
+        plain = self.exact.plain[first] & self.exact.plain[other]
+        for row in np.flatnonzero((found <= np.minimum(enough_m, CLOSE_M)) & ~plain):
+            found[row] = self.exact.solids_m(frames[posture[row]], first[row], other[row])
         return found
 
-    def _boxes(self, frames: Floats, segments: Floats, at: _Items) -> Floats:
-        low, high = self.boxes_m[at.other, 0] + TOLERANCE_M, self.boxes_m[at.other, 1] - TOLERANCE_M
-        first, thick = segments[at.posture, at.first], self.body.radius_m[at.first]
-        middle = first.mean(axis=1)
-        half = _length(first) / 2
-        found = np.linalg.norm(middle - np.clip(middle, low, high), axis=1) - half - thick
-        near = np.flatnonzero(found <= at.enough_m)
-        found[near] = segment_box_distance(first[near, 0], first[near, 1], low[near], high[near]) - thick[near]
-        for row in np.flatnonzero((found <= np.minimum(at.enough_m, CLOSE_M)) & ~self.exact.plain[at.first]):
-            found[row] = self.exact.box_m(frames[at.posture[row]], at.first[row], at.other[row])
+    def _boxes(
+        self, frames: Floats, segments: Floats, posture: Rows, first: Rows, other: Rows, enough_m: Floats
+    ) -> Floats:
+        low, high = self.boxes_m[other, 0] + TOLERANCE_M, self.boxes_m[other, 1] - TOLERANCE_M
+        ends, thick = segments[posture, first], self.body.radius_m[first]
+        middle = ends.mean(axis=1)
+        found = np.linalg.norm(middle - np.clip(middle, low, high), axis=1) - _length(ends) / 2 - thick
+        near = np.flatnonzero(found <= enough_m)
+        found[near] = segment_box_distance(ends[near, 0], ends[near, 1], low[near], high[near]) - thick[near]
+        for row in np.flatnonzero((found <= np.minimum(enough_m, CLOSE_M)) & ~self.exact.plain[first]):
+            found[row] = self.exact.box_m(frames[posture[row]], first[row], other[row])
         return found
 
-    def _planes(self, frames: Floats, segments: Floats, at: _Items) -> Floats:
-        normals = np.array([plane.normal for plane in self.planes])[at.other]
-        heights = np.array([plane.height_m for plane in self.planes])[at.other]
-        first = segments[at.posture, at.first]
-        lowest = np.einsum("mej,mj->me", first, normals).min(axis=1)
-        found = lowest - heights - self.body.radius_m[at.first]
-        near = (found <= at.enough_m) & ~self.exact.plain[at.first]
-        for solid in np.unique(at.first[near]):
-            rows = np.flatnonzero(near & (at.first == solid))
-            frame = frames[at.posture[rows], self.body.link[solid] + 1]
+    def _planes(
+        self, frames: Floats, segments: Floats, posture: Rows, first: Rows, other: Rows, enough_m: Floats
+    ) -> Floats:
+        normals = np.array([plane.normal for plane in self.planes])[other]
+        heights = np.array([plane.height_m for plane in self.planes])[other]
+        lowest = np.einsum("mej,mj->me", segments[posture, first], normals).min(axis=1)
+        found = lowest - heights - self.body.radius_m[first]
+        near = (found <= enough_m) & ~self.exact.plain[first]
+        for solid in np.unique(first[near]):
+            rows = np.flatnonzero(near & (first == solid))
+            frame = frames[posture[rows], self.body.link[solid] + 1]
             body = self.body.solids[solid]
             turned = np.einsum("mji,mj->mi", frame[:, :3, :3], normals[rows])
             origin = np.einsum("mj,mj->m", frame[:, :3, 3], normals[rows])
@@ -188,31 +191,24 @@ class Space:
     def touches(self, q_rad: Floats) -> Iterator[tuple[str, NDArray[np.bool_]]]:
         """Return each contact as text with the postures (n, N) at which it occurs: bool arrays of shape (n,)."""
         touching = self._all_gaps(q_rad) <= 0.0
-        words = [self._words(row) for row in range(len(self.pairs.kind))]
+        words = [self.name_of(row, with_sources=True) for row in range(len(self.pairs.kind))]
         for each in dict.fromkeys(words):
             of_pair = [row for row, other in enumerate(words) if other == each]
             yield each, np.asarray(np.any(touching[:, of_pair], axis=1), dtype=bool)
 
-    def name_of(self, pair: int) -> str:
-        """Return the names of a pair, such as "link 6 and link 4"."""
-        other = int(self.pairs.other[pair])
-        names = {BOX: f"keep_out box {other + 1}", PLANE: "", SOLID: ""}
-        if self.pairs.kind[pair] == PLANE:
-            names[PLANE] = f"the {self.planes[other].name}"
-        elif self.pairs.kind[pair] == SOLID:
-            names[SOLID] = _the(self.body.parts[self.body.part[other]].name)
-        return f"{self.body.parts[self.body.part[self.pairs.first[pair]]].name} and {names[int(self.pairs.kind[pair])]}"
-
-    def _words(self, pair: int) -> str:
+    def name_of(self, pair: int, *, with_sources: bool = False) -> str:
+        """Return the names of a pair, such as "link 6 and link 4", or its contact with the source of each size."""
         kind, other = self.pairs.kind[pair], int(self.pairs.other[pair])
         part = self.body.parts[self.body.part[self.pairs.first[pair]]]
         if kind == BOX:
-            return f"{part.name} in keep_out box {other + 1} ({part.source})"
-        if kind == PLANE:
-            plane = self.planes[other]
-            return f"{part.name} ({part.source}) in the {plane.name} ({plane.source})"
-        second = self.body.parts[self.body.part[other]]
-        return f"{part.name} ({part.source}) touches {_the(second.name)} ({second.source})"
+            box = f"keep_out box {other + 1}"
+            return f"{part.name} in {box} ({part.source})" if with_sources else f"{part.name} and {box}"
+        second = self.planes[other] if kind == PLANE else self.body.parts[self.body.part[other]]
+        name = second.name if second.name.startswith("link ") else f"the {second.name}"
+        verb = "in" if kind == PLANE else "touches"
+        if with_sources:
+            return f"{part.name} ({part.source}) {verb} {name} ({second.source})"
+        return f"{part.name} and {name}"
 
     def blocked_at(self, start_rad: Floats, end_rad: Floats) -> Floats:
         """Return the share of the path at which a straight joint motion collides or is not proven clear; NaN = clear.
@@ -271,23 +267,9 @@ class Space:
             before, after = np.concatenate([before, between]), np.concatenate([between, after])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Items:
-    """Pairs with the same kind of second object at postures; all arrays have shape (m,)."""
-
-    posture: Rows
-    first: Rows
-    other: Rows
-    enough_m: Floats
-
-
 def _length(segments: Floats) -> Floats:
     """Return the lengths (m,) [m] of segments (m, 2, 3)."""
     return np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
-
-
-def _the(name: str) -> str:
-    return f"the {name}" if name in ("base", "column", "load") else name
 
 
 def space_of(arm: ArmConfig, robot: Robot, lower_rad: Floats, upper_rad: Floats) -> Space:

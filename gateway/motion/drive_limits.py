@@ -1,15 +1,23 @@
-"""Limits that are written to the drives of an arm (motor side), computed from joint limits, gears and coupling."""
+"""Limits that are written to the drives of an arm (motor side), and the torque that each axis needs at worst."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drives.profile import DriveProfile
 from gateway.cell.config import ArmConfig
 from gateway.cell.conversion import AxisConversion
+from gateway.errors import ConfigError
+from gateway.feedforward.identified import AxisConstants, axis_constants
+from gateway.feedforward.load import FeedLoad, assumed_load, rated_load
+from gateway.feedforward.parameters import drawn_parameters
+from gateway.model.regressor import regressor
+from gateway.motion.workspace import BAND_SHARE, Workspace
 from gateway.preflight.coasting import quick_stop_ramp
 from gateway.preflight.rules import Readings, counts_per_revolution
 
@@ -17,6 +25,12 @@ from gateway.preflight.rules import Readings, counts_per_revolution
 ROUNDING_RAD: Final = 1e-4
 
 Range = tuple[float, float]
+#: Reserve factor: Coriolis torques, model errors of some percent, a swinging load.
+RESERVE = 1.3
+#: Search for the worst posture: number of random postures, angles per joint, number of refinements,
+#: and the factor by which each refinement narrows the range.
+POSTURES, STARTS, ANGLES, SWEEPS, NARROWER = 1500, 3, 24, 4, 5
+SEED = 11
 
 
 def motor_ranges_rad(arm: ArmConfig) -> tuple[Range | None, ...]:
@@ -67,3 +81,118 @@ def quick_stop_rad_s2(
             return None
         motor.append(raw * unit_rad_s2)
     return AxisConversion.from_arm(arm).joint_bound(np.array(motor))
+
+
+Floats = NDArray[np.float64]
+
+
+def needed_torque_nm(
+    workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats, known: tuple[AxisConstants, ...] = ()
+) -> Floats | None:
+    """Return the largest torque (N,) [Nm, joint side, gear losses included] that every axis needs, with a reserve.
+
+    1.3 x (largest gravity torque over the joint range, divided by the gear efficiency, + friction band + quick stop
+    torque). Gravity is that of the unloaded arm and of the arm with the rated and the heaviest load. The quick stop
+    torque is the row of the inertia matrix, including the rotor, times the decelerations of all axes. The three maxima
+    are added, although they occur at different postures.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    arm : ArmConfig
+        Source of the loads, and of rotors and friction that were not identified.
+    decel_rad_s2 : array of shape (N,)
+        Quick stop decelerations at the joints.
+    known : tuple of AxisConstants, one per axis, optional
+        Rotors and friction; defaults to those of the arm.
+
+    Returns
+    -------
+    array of shape (N,) or None
+        None where the links, a rotor's inertia or the load that the arm may carry are not known.
+    """
+    loads = possible_loads(workspace, arm)
+    bodies = links_with_loads(workspace, arm, loads) if loads else None
+    known = known or axis_constants(arm, None)
+    rotors = [axis.rotor_kg_m2 for axis in known]
+    if bodies is None or None in rotors:
+        return None
+    rotor = np.array([0.0 if inertia is None else inertia.value for inertia in rotors])
+    lost = np.maximum(1.0 / workspace.efficiency, [1.0 + axis.load_friction for axis in known])
+    friction = dry_friction_nm(arm, known)
+
+    def gravity_nm(q_rad: Floats) -> Floats:
+        still = np.zeros_like(q_rad)
+        rows = regressor(workspace.robot, q_rad, still, still, workspace.gravity_m_s2)
+        return np.abs(rows @ bodies).max(axis=2) * lost
+
+    def stopping_nm(q_rad: Floats) -> Floats:
+        still, total = np.zeros_like(q_rad), np.zeros((*q_rad.shape, bodies.shape[1]))
+        for axis, deceleration in enumerate(decel_rad_s2):
+            turned = np.tile(np.eye(len(decel_rad_s2))[axis] * deceleration, (len(q_rad), 1))
+            total += np.abs(regressor(workspace.robot, q_rad, still, turned, np.zeros(3)) @ bodies)
+        return total.max(axis=2)
+
+    middle = (workspace.lower_rad + workspace.upper_rad) / 2
+    half = np.minimum((workspace.upper_rad - workspace.lower_rad) / 2, np.pi)
+    largest = [_largest(torque, middle - half, middle + half) for torque in (gravity_nm, stopping_nm)]
+    return RESERVE * (sum(largest, friction) + rotor * decel_rad_s2)
+
+
+def dry_friction_nm(arm: ArmConfig, known: Sequence[AxisConstants]) -> Floats:
+    """Return the dry friction (N,) [Nm] of the joints: the largest known value, including breakaway.
+
+    Without any value the assumed friction band is used.
+    """
+    return np.array(
+        [
+            BAND_SHARE * axis.torque_limit_nm
+            if constants.coulomb_nm is None
+            else float(np.fmax(constants.coulomb_nm.value, constants.breakaway_nm))
+            for constants, axis in zip(known, arm.axis, strict=True)
+        ]
+    )
+
+
+def links_with_loads(workspace: Workspace, arm: ArmConfig, loads: Sequence[FeedLoad]) -> Floats | None:
+    """Return the link parameters (10 N, 1 + loads) without and with each load; None where a link is unknown."""
+    if workspace.links is None:
+        return None
+    try:
+        links = drawn_parameters(workspace.robot, arm)
+    except ConfigError:
+        return None
+    carried = [links]
+    for load in loads:
+        carried.append(links.copy())
+        carried[-1][-10:] += load.parameters
+    return np.column_stack(carried)
+
+
+def possible_loads(workspace: Workspace, arm: ArmConfig) -> tuple[FeedLoad, ...]:
+    """Return the rated and the heaviest load, if defined, as solid bodies in the last link."""
+    loads = [] if arm.rated_load_kg is None else [rated_load(arm, workspace.robot)]
+    if workspace.max_load is not None:
+        com_m = workspace.max_load[1:] / workspace.max_load[0]
+        loads.append(assumed_load("heaviest", float(workspace.max_load[0]), com_m, "max_load_kg of the cell file"))
+    return tuple(loads)
+
+
+def _largest(torque_nm: Callable[[Floats], Floats], lower_rad: Floats, upper_rad: Floats) -> Floats:
+    """Return the largest torque (N,) over a range of postures, of a function of postures (n, N) to torques (n, N)."""
+    random = np.random.default_rng(SEED)
+    axes = len(lower_rad)
+    drawn = random.uniform(lower_rad, upper_rad, (POSTURES, axes))
+    found = torque_nm(drawn)
+    best = np.argsort(-found, axis=0)[:STARTS]
+    axis = np.tile(np.arange(axes), STARTS)
+    q_rad = drawn[best.ravel()]
+    rows = np.arange(len(q_rad))
+    for sweep, joint in product(range(SWEEPS), range(axes)):
+        tried = np.repeat(q_rad[:, None], ANGLES + 1, axis=1)
+        half = (upper_rad[joint] - lower_rad[joint]) / NARROWER**sweep
+        around = q_rad[:, joint, None] + np.linspace(-half, half, ANGLES)
+        tried[:, :-1, joint] = np.clip(around, lower_rad[joint], upper_rad[joint])
+        value = torque_nm(tried.reshape(-1, axes)).reshape(len(q_rad), ANGLES + 1, axes)
+        q_rad = tried[rows, np.argmax(value[rows, :, axis], axis=1)]
+    return np.maximum(found.max(axis=0), torque_nm(q_rad).max(axis=0))

@@ -26,11 +26,10 @@ from gateway.errors import ConfigError
 from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.model.arm_model import arm_named, robot_from_text, robot_place, robot_text
 from gateway.motion.arm import Arm
-from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, quick_stop_rad_s2
+from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, needed_torque_nm, quick_stop_rad_s2
 from gateway.motion.stops import StopKind, StopRequest, StopSource
-from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import Workspace, workspace_of
-from gateway.preflight.drive_check import Preflight, look_over, require_passed
+from gateway.preflight.drive_check import look_over, require_passed
 from gateway.preflight.rules import CONFIRM_TORQUE, Readings
 
 
@@ -140,13 +139,17 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
 
 
 def _limit_torques(
-    group: DriveGroup, config: ArmConfig, workspace: Workspace, found: Preflight, known: tuple[AxisConstants, ...]
+    group: DriveGroup,
+    config: ArmConfig,
+    workspace: Workspace,
+    readings: Sequence[Readings],
+    known: tuple[AxisConstants, ...],
 ) -> None:
     """Limit the torque of each drive to the largest that the arm can need, if links, load and ramps are known.
 
     A motion may accelerate harder than the quick stop decelerates: the larger of both counts.
     """
-    ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], found.readings)
+    ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], readings)
     hardest = None if ramp is None else np.maximum(ramp, workspace.acceleration_rad_s2)
     needed_nm = None if hardest is None else needed_torque_nm(workspace, config, hardest, known)
     limits = motor_torques_nm(AxisConversion.from_arm(config), needed_nm)
@@ -254,9 +257,9 @@ def open_arm(
         DriveGroup(bus, setups, bus_config.sync_period_s, bus_config.pacing, options=options) as group,
     ):
         identities = group.connect()
-        found = look_over(config, group)
-        require_passed(found.refusing, "check failed, the arm is not moved")
-        _limit_torques(group, config, workspace, found, known)
+        refusing, readings = look_over(config, group)
+        require_passed(refusing, "check failed, the arm is not moved")
+        _limit_torques(group, config, workspace, readings, known)
         group.configure()
         opened = OpenArm(
             loaded=loaded,
@@ -268,7 +271,7 @@ def open_arm(
             arm=Arm(config.name, group, AxisConversion.from_arm(config), known),
             identities=identities,
             constants=tuple(drive.scale.constants for drive in group.drives),
-            readings=found.readings,
+            readings=readings,
             disk=writing,
             log=log,
         )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Final
 
 from drives.errors import BrakeDropped, DriveError, NotStoodDown
 from drives.gate import ArmState
 from drives.realtime import RealTime
 from gateway.errors import LimitExceeded
-from gateway.motion.arms import Arms
 from gateway.motion.state import Phase
 from gateway.motion.stream import Stream
 
@@ -20,16 +19,6 @@ _KEEP_AWAY: Final = (
     "keep away from this arm: no person mounts a load or works at it; support it mechanically, then check these brakes"
     " and brake_closing_s of the drive profile (test: `servo-gateway check CELL --brakes`)"
 )
-
-
-@contextmanager
-def _on_time(arms: Arms) -> Generator[None]:
-    """Request real-time scheduling for the motion loop, in real time only."""
-    if not arms.real:
-        yield
-        return
-    with RealTime():
-        yield
 
 
 @contextmanager
@@ -54,10 +43,10 @@ def powered(stream: Stream) -> Generator[Stream]:
     arms, options, desk, observers = stream.arms, stream.options, stream.options.desk, stream.options.observers
     failure: BaseException | None = None
     options.ready()
-    with _on_time(arms):
+    with RealTime() if arms.real else nullcontext():
         try:
             desk.under_power = True
-            observers.began(arms, stream.workspaces, stream.period_s, stream.state)
+            observers.notify(lambda each: each.began(arms, stream.workspaces, stream.period_s, stream.state))
             stream.start()
             stream.state.enter(Phase.HOLDING, stream.sync_index)
             yield stream
@@ -73,10 +62,15 @@ def powered(stream: Stream) -> Generator[Stream]:
             finally:
                 desk.under_power = False
                 state = arms.gate()
-                changed = _brake_dropped(stream, failure) or (None if failure else _changed(state))
+                changed: DriveError | None = _brake_dropped(stream, failure)
+                if changed is None and failure is None:
+                    try:
+                        state.require_approach()
+                    except DriveError as error:
+                        changed = error
                 failure = changed or failure
                 _report_end(stream, failure, state)
-                observers.ended(failure)
+                observers.notify(lambda each: each.ended(failure))
                 if changed is not None:
                     raise changed
             if stream.first_moved and options.first_done is not None:
@@ -97,14 +91,6 @@ def _make_safe(stream: Stream, failure: BaseException | None) -> None:
             if failure is None:
                 raise
             failure.add_note(f"{'after the stop' if isinstance(error, NotStoodDown) else 'while stopping'}: {error}")
-
-
-def _changed(state: ArmState) -> DriveError | None:
-    try:
-        state.require_approach()
-    except DriveError as error:
-        return error
-    return None
 
 
 def _report_end(stream: Stream, failure: BaseException | None, state: ArmState) -> None:

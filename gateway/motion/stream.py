@@ -17,14 +17,12 @@ import numpy as np
 from drives.realtime import leave_real_time
 from gateway.data.sample import ArmSample
 from gateway.motion.arms import Arms
-from gateway.motion.observer import MotionProgress, Observers
-from gateway.motion.own_torque import own_torque
-from gateway.motion.pathclock import PathClock
-from gateway.motion.setpoints import MotionSetpoints, PerArm, SetpointSource
+from gateway.motion.observer import MotionProgress, Observed, Observers
+from gateway.motion.setpoints import MotionSetpoints, PathClock, PerArm, SetpointSource
 from gateway.motion.state import CellState, StateTracker
-from gateway.motion.stops import StopDesk, StopKind, guarded
+from gateway.motion.stops import StopDesk, StopKind, StopRequest, guarded
 from gateway.motion.trajectory import Motion
-from gateway.motion.watch import TAKE_OVER_S, Watch
+from gateway.motion.watch import TAKE_OVER_S, Watch, own_torque
 from gateway.motion.workspace import Workspace
 
 #: Called at intervals with the description of the motion, the sample number and the number of samples.
@@ -48,10 +46,6 @@ REST_S, REST_LONGEST_S = 0.02, 0.4
 REST_SYNCS: Final = 3
 #: Tolerance for rounding a number of periods.
 HAIR: Final = 1e-9
-
-
-def _nothing(_what: str, _row: int, _rows: int) -> None:
-    """Default report: do nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +114,7 @@ class Stream:
         workspaces: tuple[Workspace, ...],
         period_s: float,
         options: MoveOptions | None = None,
-        report: Report = _nothing,
+        report: Report = lambda _what, _row, _rows: None,
         state_changed: Callable[[CellState], None] = lambda _state: None,
     ) -> None:
         self.arms, self.workspaces, self.period_s = arms, workspaces, period_s
@@ -130,7 +124,7 @@ class Stream:
         self.samples: tuple[ArmSample, ...] = ()
         self.moving = self.urgent = self.first_moved = False
         self.sync_index = 0
-        self._desk, self._observers = self.options.desk, self.options.observers
+        self._desk = self.options.desk
         delay_syncs = BUFFERED_SYNCS if arms.real else 0.0
         self._watches = [
             Watch(arm.name, workspace, period_s, delay_syncs, own_torque(arm, workspace, period_s))
@@ -193,7 +187,7 @@ class Stream:
         self.moving = source.count > 0
         row = 0
         while not clock.done:
-            if self._asked_to_stop():
+            if self._stop_request() is not None:
                 clock.stop()
             at = clock.advance(*source.rates(clock.at))
             if clock.done and not clock.arrived:
@@ -211,22 +205,20 @@ class Stream:
         if wish is not None:
             raise wish.cause
 
-    def _asked_to_stop(self) -> bool:
-        """Return True if a stop along the path is requested; raise the cause of a quick stop."""
+    def _stop_request(self) -> StopRequest | None:
+        """Return the request of a stop along the path; raise the cause of a quick stop."""
         wish = self._desk.look()
-        if wish is None:
-            return False
-        self.urgent = wish.kind is StopKind.QUICK_STOP
-        if self.urgent:
+        self.urgent = wish is not None and wish.kind is StopKind.QUICK_STOP
+        if wish is not None and self.urgent:
             raise wish.cause
-        return True
+        return wish
 
     def _come_to_rest(self, source: SetpointSource, at: float) -> None:
         """Hold the setpoints until the joints have caught up, before anything is disabled."""
         span = max(REST_SYNCS, round(REST_S / self.period_s))
         seen: deque[np.ndarray] = deque(maxlen=span + 1)
         for _ in range(round(REST_LONGEST_S / self.period_s)):
-            self._asked_to_stop()
+            self._stop_request()
             self._send(source, at, 0.0)
             seen.append(np.concatenate([sample.q_rad for sample in self.samples]))
             if len(seen) > span and np.ptp(np.array(seen), axis=0).max() <= REST_RAD:
@@ -242,15 +234,18 @@ class Stream:
         samples = self.samples = self.arms.exchange(commands)
         self.q_rad = targets
         modelled = source.modelled(at)
-        self._look(samples, self._moved() if modelled is None else modelled)
+        if modelled is None:
+            modelled = tuple(watch.moved_torque(q) for watch, q in zip(self._watches, targets, strict=True))
+        self._look(samples, modelled)
         source.take(at, rate, samples)
 
     def hold(self, what: str, row: int, rows: int, *, heed: bool = True) -> tuple[ArmSample, ...]:
         """Exchange one SYNC at rest; raises as `drive`. Without `heed`, stop requests are handled later."""
         if row % self._every == 0:
             self._report(what, row, rows)
-        if heed:
-            self._heed()
+        wish = self._stop_request() if heed else None
+        if wish is not None:
+            raise wish.cause
         samples = self.samples = self.arms.hold()
         self._look(samples, self._gravity_nm)
         return samples
@@ -300,14 +295,8 @@ class Stream:
 
     def _report(self, what: str, row: int, rows: int) -> None:
         self._progress(what, row, rows)
-        self._observers.reported(MotionProgress(what, row, rows))
-
-    def _heed(self) -> None:
-        """Raise a stop request at once while the arms are at rest."""
-        wish = self._desk.look()
-        if wish is not None:
-            self.urgent = wish.kind is StopKind.QUICK_STOP
-            raise wish.cause
+        progress = MotionProgress(what, row, rows)
+        self.options.observers.notify(lambda observer: observer.reported(progress))
 
     def _look(self, samples: tuple[ArmSample, ...], modelled_nm: PerArm) -> None:
         self.sync_index = samples[0].sync_index
@@ -315,13 +304,9 @@ class Stream:
             for watch, sample, target, modelled in zip(self._watches, samples, self.q_rad, modelled_nm, strict=True):
                 watch.check(sample, target, modelled)
         finally:
-            self._observers.sampled(samples, self.q_rad, modelled_nm)
-
-    def _moved(self) -> PerArm:
-        return tuple(watch.moved_torque(q) for watch, q in zip(self._watches, self.q_rad, strict=True))
-
-    def _gravity(self) -> PerArm:
-        return tuple(watch.modelled_torque(q[None])[0] for watch, q in zip(self._watches, self.q_rad, strict=True))
+            observed = Observed(samples, self.q_rad, modelled_nm)
+            self.options.observers.notify(lambda observer: observer.sampled(observed))
 
     def _model(self) -> None:
-        self._gravity_nm = self._gravity()
+        pairs = zip(self._watches, self.q_rad, strict=True)
+        self._gravity_nm = tuple(watch.modelled_torque(q[None])[0] for watch, q in pairs)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gateway.cell.config import ArmConfig
 from gateway.model.kinematics import link_frames
 from gateway.model.robot import LinkShape, Robot, reach_m, transform
-from gateway.model.solid import Solid, solid_of
+from gateway.model.solid import solid_of
 from gateway.model.urdf_shapes import Cylinder
 from gateway.motion.body import BASE, GEOMETRY, Part, solids_of, stated_radius_m
 
@@ -35,7 +35,7 @@ COLUMN_SHARE = 0.1
 _TURNS = 72
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plane:
     """Unbounded plane; the arm stays where `normal . x` is above `height_m`.
 
@@ -43,7 +43,7 @@ class Plane:
     ----------
     name : str
         "floor" or "wall".
-    normal : tuple of 3 floats
+    normal : array of shape (3,)
         Unit normal vector in the base frame, pointing to the free side.
     height_m : float
     source : str
@@ -51,7 +51,7 @@ class Plane:
     """
 
     name: str
-    normal: tuple[float, float, float]
+    normal: Floats
     height_m: float
     source: str
 
@@ -100,21 +100,15 @@ def _planes(arm: ArmConfig, robot: Robot) -> Iterator[Plane]:
     up, out, lean = upward(arm, robot), outward(robot), _lean_rad(arm, robot)
     if arm.floor_m is None and lean > INVERTED_MOUNT_ANGLE_RAD:
         height = -reach_m(robot)
-        yield _plane(
-            "floor", up, height, f"{height:.3f} m, assumed: one reach below an inverted base; give arm.floor_m"
-        )
+        yield Plane("floor", up, height, f"{height:.3f} m, assumed: one reach below an inverted base; give arm.floor_m")
     elif arm.floor_m is None:
         height = _assumed_height_m(arm, robot, up)
-        yield _plane("floor", up, height, f"{height:.3f} m, assumed; give arm.floor_m, or false where there is none")
+        yield Plane("floor", up, height, f"{height:.3f} m, assumed; give arm.floor_m, or false where there is none")
     elif not isinstance(arm.floor_m, bool):
-        yield _plane("floor", up, arm.floor_m, f"{arm.floor_m:g} m, arm.floor_m")
+        yield Plane("floor", up, arm.floor_m, f"{arm.floor_m:g} m, arm.floor_m")
     if arm.wall or (arm.wall is None and lean > WALL_ANGLE_RAD):
         words = "arm.wall" if arm.wall else "assumed, because the base is tilted; give arm.wall"
-        yield _plane("wall", out, _assumed_height_m(arm, robot, out), words)
-
-
-def _plane(name: str, normal: Floats, height_m: float, source: str) -> Plane:
-    return Plane(name, (float(normal[0]), float(normal[1]), float(normal[2])), height_m, source)
+        yield Plane("wall", out, _assumed_height_m(arm, robot, out), words)
 
 
 def _fixed_parts(arm: ArmConfig, robot: Robot, floor_m: float | None) -> Iterator[Part]:
@@ -135,12 +129,8 @@ def _fixed_parts(arm: ArmConfig, robot: Robot, floor_m: float | None) -> Iterato
     shoulder = _shoulder_m(robot, out) - SHOULDER_CLEARANCE * stated_radius_m(arm, robot, 1)[0]
     top = min(0.0, shoulder) if solids and arm.column_radius_m is None else shoulder
     if top - bottom > 1e-3:
-        yield Part("column", BASE, (_upright(out, bottom, top, radius),), words, known=arm.column_radius_m is not None)
-
-
-def _upright(axis: Floats, bottom_m: float, top_m: float, radius_m: float) -> Solid:
-    """Return a cylinder about an axis (3,) through the origin of the base."""
-    across: Floats = np.linalg.svd(axis[None])[2][1]
-    turned: Floats = np.column_stack([across, np.cross(axis, across), axis])
-    pose = transform(turned, (bottom_m + top_m) / 2 * axis)
-    return solid_of(LinkShape(pose, Cylinder(radius_m, top_m - bottom_m), True), "")
+        # a cylinder about the first axis through the origin of the base
+        across: Floats = np.linalg.svd(out[None])[2][1]
+        turned: Floats = np.column_stack([across, np.cross(out, across), out])
+        shape = LinkShape(transform(turned, (bottom + top) / 2 * out), Cylinder(radius, top - bottom), True)
+        yield Part("column", BASE, (solid_of(shape, ""),), words, known=arm.column_radius_m is not None)

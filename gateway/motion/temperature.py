@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drives.profile_parts import Temperature
+from drives.profile import Temperature
 from drives.sdo import Posted, SdoClient
 from gateway.motion.opening import OpenArm
 

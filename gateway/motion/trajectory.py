@@ -1,7 +1,7 @@
 """Jerk-limited motions of an arm's joints, sampled once per SYNC (ruckig).
 
 All joints share one time law along a straight line in joint space, so that the checked line is the driven path, also
-while `pathclock` brakes on it. (Phase synchronisation of separate time laws leaves the line where the joints' limits
+while `PathClock` brakes on it. (Phase synchronisation of separate time laws leaves the line where the joints' limits
 differ.)
 """
 
@@ -79,18 +79,19 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
     if not np.isfinite(length):
         raise PlanRefused("a motion needs finite joint angles at both ends")
     if length <= STILL:
-        return _at_rest(len(displacement), period_s)
+        nothing = np.empty((0, len(displacement)))
+        return Motion(nothing, nothing, nothing, period_s)
     line = displacement / length
     request = _along(line, limits)
     request.target_position = [length]
-    motion = _sample(request, start_rad, line, period_s)
+    trajectory = _calculated(request)
+    count = max(1, int(np.ceil(trajectory.duration / period_s - 1e-9)))
+    rows = [trajectory.at_time(min(step * period_s, trajectory.duration)) for step in range(1, count + 1)]
+    moved, speed, acceleration = (np.array([row[part][0] for row in rows])[:, None] for part in range(3))
+    motion = Motion(start_rad + moved * line, speed * line, acceleration * line, period_s)
     motion.q_rad[-1] = target_rad
     motion.qd_rad_s[-1] = motion.qdd_rad_s2[-1] = 0.0
     return motion
-
-
-def _at_rest(axes: int, period_s: float) -> Motion:
-    return Motion(np.empty((0, axes)), np.empty((0, axes)), np.empty((0, axes)), period_s)
 
 
 def _along(line: np.ndarray, limits: MotionLimits) -> Any:
@@ -134,11 +135,3 @@ def _calculated(request: Any) -> Any:
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
         raise PlanRefused(f"no motion fits the limits ({result.name})")
     return trajectory
-
-
-def _sample(request: Any, start_rad: np.ndarray, line: np.ndarray, period_s: float) -> Motion:
-    trajectory = _calculated(request)
-    count = max(1, int(np.ceil(trajectory.duration / period_s - 1e-9)))
-    rows = [trajectory.at_time(min(step * period_s, trajectory.duration)) for step in range(1, count + 1)]
-    displacement, speed, acceleration = (np.array([row[part][0] for row in rows])[:, None] for part in range(3))
-    return Motion(start_rad + displacement * line, speed * line, acceleration * line, period_s)

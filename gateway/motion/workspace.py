@@ -1,13 +1,14 @@
-"""Check postures and paths of an arm for joint limits, collisions and torque limits; pure, vectorised functions."""
+"""Check postures, paths and start postures of an arm for joint limits, collisions and torque limits; pure functions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from gateway.cell.config import ArmConfig
-from gateway.errors import ConfigError, PlanRefused
+from gateway.errors import ConfigError, PlanRefused, WrongPlace
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.model.robot import Robot
 from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_of
@@ -30,6 +31,11 @@ INWARD_SPEED_RAD_S = 0.05
 #: By how much a velocity may be rounded down in a URDF.
 ROUNDED = 1e-3
 TOO_CLOSE = f"the arm passes an obstacle at less than {500 * PATH_RESOLUTION_M:g} mm"
+#: A motion out of a violation is searched with one joint: step and largest motion [rad].
+_STEP_RAD: Final = 0.02
+_MOST_RAD: Final = 1.0
+#: Steps per batch.
+_AT_ONCE: Final = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,8 +265,7 @@ class Workspace:
             )
         margin = np.minimum(INWARD_MARGIN_RAD, (self.upper_rad - self.lower_rad) / 2)
         target = np.where(beyond > 0, np.clip(q_rad, self.lower_rad + margin, self.upper_rad - margin), q_rad)
-        wider = replace(self, lower_rad=np.minimum(self.lower_rad, q_rad), upper_rad=np.maximum(self.upper_rad, q_rad))
-        reason = wider.why_not_path(np.array([q_rad, target]))
+        reason = widened(self, q_rad).why_not_path(np.array([q_rad, target]))
         if reason is not None:
             raise PlanRefused(
                 f"on the path of joint {', '.join(map(str, np.flatnonzero(beyond > 0) + 1))} back into its range, "
@@ -322,3 +327,66 @@ def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
         links=moments if known else None,
         max_load=None if arm.max_load_kg is None else arm.max_load_kg * np.concatenate([[1.0], load_com]),
     )
+
+
+def inside_from(workspace: Workspace, q_rad: np.ndarray, arm: str) -> np.ndarray | None:
+    """Return the nearest posture (N,) [rad] inside the joint range; None if the arm is inside.
+
+    Raises
+    ------
+    PlanRefused
+        The arm is in a posture that is not allowed, and no command of this program may move it from there.
+    """
+    where = f"arm '{arm}' is at {angles(q_rad)}"
+    try:
+        inside = workspace.path_into_range(q_rad)
+    except PlanRefused as refused:
+        raise PlanRefused(f"{where}: {refused}") from refused
+    begin_rad = q_rad if inside is None else inside
+    reason = workspace.why_not(begin_rad)
+    if reason is not None:
+        out = "" if inside is not None else smallest_exit(workspace, begin_rad)
+        raise PlanRefused(
+            f"{where}: {reason}; move it clear by hand or jog it with the drive's own tool{out}, or correct the cell"
+            " file if there is no obstacle; no command of servo-gateway moves it from this posture"
+        )
+    return inside
+
+
+def smallest_exit(workspace: Workspace, q_rad: np.ndarray) -> str:
+    """Return a text with the smallest single-joint motion to an allowed posture; empty if there is none."""
+    axes = workspace.robot.axes
+    signs = np.concatenate([np.eye(axes), -np.eye(axes)])
+    sizes = np.arange(_STEP_RAD, _MOST_RAD + _STEP_RAD / 2, _STEP_RAD)
+    for begin in range(0, len(sizes), _AT_ONCE):
+        turns = (sizes[begin : begin + _AT_ONCE, None, None] * signs).reshape(-1, axes)
+        free = workspace.feasible(q_rad + turns)
+        if free.any():
+            turn = turns[int(np.argmax(free))]
+            joint = int(np.argmax(np.abs(turn)))
+            by = f"joint {joint + 1} by {turn[joint]:+.2f} rad"
+            return f" (with the geometry of the cell file, {by} is the smallest motion out)"
+    return ""
+
+
+def refuse_start(workspace: Workspace, q_rad: np.ndarray, arm: str) -> None:
+    """Refuse a start posture from which the joints may not move in both directions.
+
+    Raises
+    ------
+    WrongPlace
+        The arm is outside its joint range.
+    PlanRefused
+        Its posture is not allowed.
+    """
+    if inside_from(workspace, q_rad, arm) is not None:
+        reason = workspace.why_not(q_rad)
+        raise WrongPlace(
+            f"arm '{arm}' is in a posture from which its joints may not move in both directions: {reason}", arm
+        )
+
+
+def widened(workspace: Workspace, q_rad: np.ndarray) -> Workspace:
+    """Return the limits widened to the posture of an arm outside its joint range, so that it may move back."""
+    lower, upper = np.minimum(workspace.lower_rad, q_rad), np.maximum(workspace.upper_rad, q_rad)
+    return replace(workspace, lower_rad=lower, upper_rad=upper)

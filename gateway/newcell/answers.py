@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from drives.errors import ProfileError
+from drives.profile import is_assumed
 from drives.profile_file import find_profile, list_profiles
-from drives.profile_parts import is_assumed
 from drives.toml_lines import key_lines
 from drives.toml_text import parse_toml, toml_string
 from drives.validation import not_toml

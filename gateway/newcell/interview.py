@@ -9,8 +9,7 @@ from typing import Protocol
 
 from drives.bus_spec import BusSpec
 from drives.profile import DriveProfile
-from drives.profile_check import contradictions
-from drives.profile_file import find_profile
+from drives.profile_file import contradictions, find_profile
 from gateway.cell.config import DhTable
 from gateway.errors import ConfigError
 from gateway.model.load_bounds import bounds_of

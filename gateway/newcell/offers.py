@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drives.profile import DriveProfile
-from drives.profile_parts import is_assumed
+from drives.profile import DriveProfile, is_assumed
 from gateway.cell.quantities import inertials_text
 from gateway.identify.links import default_link_std
 from gateway.model.placeholders import effort_placeholder, mass_placeholder

@@ -42,11 +42,15 @@ _NO_TORQUE: Final = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Weight:
-    """Weighed load: label, mass [kg], centre of gravity [m] in the last link (None = not known)."""
+    """Weighed load: label, mass [kg], centre of gravity [m] in the last link (None = not known), and their standard
+    deviations (0 = exact).
+    """
 
     label: str
     mass_kg: float
     com_m: tuple[float, float, float] | None
+    mass_std_kg: float = 0.0
+    com_std_m: float = 0.0
 
     @staticmethod
     def of(label: str, about: AnalysisInputs) -> Weight:
@@ -57,12 +61,12 @@ class Weight:
         ConfigError
             The mass of the load is 0.
         """
-        mass_kg, *com_m = about.knowledge.known.get(label, (about.knowledge.masses.get(label, 0.0),))
-        if not mass_kg > 0.0:
+        load = about.knowledge.stated_loads[label]
+        if not load.mass_kg > 0.0:
             raise ConfigError(
-                f"--known {label}={mass_kg:g}: a load of 0 kg cannot calibrate an axis; state the weighed mass"
+                f"--known {label}={load.mass_kg:g}: a load of 0 kg cannot calibrate an axis; state the weighed mass"
             )
-        return Weight(label, mass_kg, (com_m[0], com_m[1], com_m[2]) if com_m else None)
+        return Weight(label, load.mass_kg, load.com_m, load.mass_std_kg, load.com_std_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,11 +135,11 @@ def carried_by_none(load_nm: Floats, noise_nm: Floats, stated: Floats) -> str:
 
 def mass_finding(visits: Visits, robot: Robot, knowledge: Knowledge, weight: Weight) -> Iterator[Finding]:
     """Compare the stated mass with the mass estimated with the stated constants, so that a wrong load is detected."""
-    free = replace(knowledge, known={}, masses={})
+    free = replace(knowledge, known={}, weighed={})
     load = next(each for each in estimate_joint(visits, robot, free).loads if each.label == weight.label)
     if load.refused:
         raise DataUnusable(f"load '{weight.label}' calibrates no axis: {load.refused}")
-    if abs(load.mass_kg - weight.mass_kg) > CONFLICT * load.mass_std_kg:
+    if abs(load.mass_kg - weight.mass_kg) > CONFLICT * np.hypot(load.mass_std_kg, weight.mass_std_kg):
         factor = weight.mass_kg / max(load.mass_kg, 1e-9)
         yield Finding(
             "fail",
@@ -163,6 +167,7 @@ def common_finding(axes: Sequence[AxisCalibration], weight: Weight) -> Iterator[
     weights = (1.0 / independent) / np.sum(1.0 / independent)
     common = float(weights @ np.array([axis.scale - 1.0 for axis in known]))
     std = float(np.sqrt(weights**2 @ independent + COMMON_SHARE * (weights @ stated) ** 2))
+    std = float(np.hypot(std, weight.mass_std_kg / weight.mass_kg))
     if abs(common) <= COMMON_CONFLICT * std:
         return
     names = ", ".join(f"J{axis.joint}" for axis in known)

@@ -20,7 +20,7 @@ from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, Loa
 from gateway.cell.conversion import AxisConversion
 from gateway.cell.quantities import parse_inertials
 from gateway.data.reading import is_recording, read_data
-from gateway.data.recording.binding import Bound, Correction, bind, refuse_other_drives
+from gateway.data.recording.binding import Correction, bind, refuse_other_drives
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording, arm_config
 from gateway.data.table import Table
@@ -33,7 +33,7 @@ from gateway.model.load_bounds import LoadBounds, load_bounds
 from gateway.model.robot import Robot, or_another_tip, robot_from_urdf
 from gateway.model.urdf_text import read_urdf
 from gateway.pipeline.calibrated import Calibrated, calibrated, serial_numbers
-from gateway.pipeline.known import KnownLoad, unnamed_frame, with_and_without_centre
+from gateway.pipeline.known import KnownLoad, in_last_link, unnamed_frame
 from gateway.pipeline.torque_size import refuse_small_torques, without_constant_torques
 from gateway.result.result import Bare, Finding, read_result
 
@@ -173,15 +173,16 @@ def inputs_from_recordings(
     stated = None if arm is None else arm.link_std
     link_std = parse_inertials(request.inertials) if request.inertials else stated
     bounds = load_bounds(robot, arm, trusts_masses=link_std != np.inf)
-    measured = _calibrated(request, loaded, arm, [each.recording for each in bound])
+    measured = _calibrated(request, loaded, arm, [recording for recording, _ in bound])
     if request.bare is not None:
         _refuse_other_scale(request.bare, axes, measured)
-    known, masses = with_and_without_centre(request.known, robot, bounds)
+    loads = {label: in_last_link(label, load, robot, bounds) for label, load in request.known.items()}
+    exact = {label: (load.mass_kg, *load.com_m) for label, load in loads.items() if load.com_m and load.is_exact}
     assumed = (unnamed_frame(label, stated, robot) for label, stated in request.known.items())
     knowledge = Knowledge(
         link_std=link_std,
-        known=known,
-        masses=masses,
+        known=exact,
+        weighed={label: load for label, load in loads.items() if label not in exact},
         bare=bare,
         gravity_m_s2=gravity_m_s2,
         gain_std=_gain_std(request, arm, axes, (profile_of(read_ones, loaded), currents), measured),
@@ -200,8 +201,8 @@ def inputs_from_recordings(
         knowledge=knowledge,
         arm=arm,
         loaded=loaded,
-        recordings=tuple(each.recording for each in bound),
-        corrections=tuple(dict.fromkeys(correction for each in bound for correction in each.corrections)),
+        recordings=tuple(recording for recording, _ in bound),
+        corrections=tuple(dict.fromkeys(correction for _, corrections in bound for correction in corrections)),
         currents=currents,
         assumed=(*filter(None, assumed), *(() if measured is None else measured.findings)),
         calibrated=measured,
@@ -280,14 +281,14 @@ def profile_of(recordings: Sequence[Recording], loaded: LoadedCell | None) -> Ca
 
 def _bound(
     recordings: Sequence[Recording], arm: ArmConfig, robot: Robot | None, loaded: LoadedCell | None
-) -> list[Bound]:
+) -> list[tuple[Recording, tuple[Correction, ...]]]:
     """Bind recordings to the cell file, else to the cell of the first one; refuse recordings of another arm."""
-    bound: list[Bound] = []
+    bound: list[tuple[Recording, tuple[Correction, ...]]] = []
     for recording in recordings:
         bound.append(bind(recording, recordings[0].cell if loaded is None else loaded.cell, arm))
-        if loaded is None and bound[-1].corrections:
+        if loaded is None and (corrections := bound[-1][1]):
             raise InputError(
-                f"{recording.path}: {bound[-1].corrections[0]}: {recordings[0].path.name} was recorded with another"
+                f"{recording.path}: {corrections[0]}: {recordings[0].path.name} was recorded with another"
                 " constant; name the cell file with the valid constants by --cell"
             )
         _refuse_other_kinematics(recording, arm, robot)

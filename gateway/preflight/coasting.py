@@ -5,11 +5,12 @@ The settings are read, not tested; the test is `check --prove-stop`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final
 
 from drives.bringup import ENDING_OPTIONS, RAMP_OPTION
 from drives.objects import OBJECTS
-from gateway.preflight.rules import Axis, Lines, Readings, counts_per_revolution, value_of
+from gateway.preflight.rules import Axis, Readings, counts_per_revolution, value_of
 from gateway.result.result import Finding
 
 #: Duration of a quick stop from the cell's speed limit [s] above which motion is refused.
@@ -49,26 +50,25 @@ def judge_coasting(axis: Axis, readings: Readings) -> list[Finding]:
     -------
     list of Finding
     """
-    lines = Lines(axis)
-    for rule in (_quick_stop, _fault_reaction, _power_off, _halt, _ramp, _missing):
-        rule(lines, readings)
-    return lines.items
+    items = [item for rule in (_quick_stop, _other_options, _ramp) for item in rule(axis, readings)]
+    absent = [f"{OBJECTS[name]}" for name in _OPTIONAL if readings.get(OBJECTS[name].address, 0) is None]
+    return [*items, axis.item("info", None, f"the drive does not have {', '.join(absent)}")] if absent else items
 
 
-def _quick_stop(lines: Lines, readings: Readings) -> None:
+def _quick_stop(axis: Axis, readings: Readings) -> Iterator[Finding]:
     option, entry = value_of(readings, "quick_stop_option"), OBJECTS["quick_stop_option"]
     if option is None:
         return
     if option == BY_LIMIT:
-        lines.add("ok", entry.address, f"{option}: stops at the current limit, without a ramp")
+        yield axis.item("ok", entry.address, f"{option}: stops at the current limit, without a ramp")
     elif option in ENDING_OPTIONS:
-        lines.add("ok", entry.address, f"{option}: stops on a ramp")
-    elif entry.index in lines.axis.profile.write.allow:
+        yield axis.item("ok", entry.address, f"{option}: stops on a ramp")
+    elif entry.index in axis.profile.write.allow:
         what = f"{option}: {_after_quick_stop(option)}; {RAMP_OPTION} (quick stop ramp) is written for each run"
-        lines.add("info", entry.address, what)
+        yield axis.item("info", entry.address, what)
     else:
         advice = "set 1, 2 or 3 in the drive, or add 0x605A to write.allow of the profile"
-        lines.add("fail", entry.address, f"{option}: {_after_quick_stop(option)}", advice)
+        yield axis.item("fail", entry.address, f"{option}: {_after_quick_stop(option)}", advice)
 
 
 def _after_quick_stop(option: int) -> str:
@@ -80,39 +80,28 @@ def _after_quick_stop(option: int) -> str:
     return "the effect of this quick stop option is not defined by CiA 402 or not known"
 
 
-def _fault_reaction(lines: Lines, readings: Readings) -> None:
-    option, address = value_of(readings, "fault_reaction_option"), OBJECTS["fault_reaction_option"].address
-    if option == 0:
-        what = "0: a fault disables the drive; the axis coasts until the brake engages"
-        lines.add("fail", address, what, "set 2 (quick stop ramp) in the drive")
-    elif option in (1, 2, 3, 4):
-        lines.add("ok", address, f"{option}: a fault brings the axis to rest before the drive is disabled")
-    elif option is not None:
-        _of_the_maker(lines, "fault_reaction_option", option)
-
-
-def _power_off(lines: Lines, readings: Readings) -> None:
-    for name in ("shutdown_option", "disable_operation_option"):
-        option, address = value_of(readings, name), OBJECTS[name].address
-        if option == 0:
+def _other_options(axis: Axis, readings: Readings) -> Iterator[Finding]:
+    """Check what the drive does in a fault, when it is disabled, and on the halt bit."""
+    for name in ("fault_reaction_option", "shutdown_option", "disable_operation_option", "halt_option"):
+        option, address, in_fault = value_of(readings, name), OBJECTS[name].address, name == "fault_reaction_option"
+        if option is None:
+            continue
+        if name == "halt_option":
+            yield axis.item("info", address, f"{option}; the gateway never uses the halt bit")
+        elif in_fault and option == 0:
+            what = "0: a fault disables the drive; the axis coasts until the brake engages"
+            yield axis.item("fail", address, what, "set 2 (quick stop ramp) in the drive")
+        elif in_fault and option in (1, 2, 3, 4):
+            yield axis.item("ok", address, f"{option}: a fault brings the axis to rest before the drive is disabled")
+        elif option == 0:
             what = "0: disables at once; the gateway requests it only after standstill is measured"
-            lines.add("info", address, what)
+            yield axis.item("info", address, what)
         elif option == 1:
-            lines.add("ok", address, "1: brings the axis to rest on a ramp before the drive is disabled")
-        elif option is not None:
-            _of_the_maker(lines, name, option)
-
-
-def _halt(lines: Lines, readings: Readings) -> None:
-    option = value_of(readings, "halt_option")
-    if option is not None:
-        lines.add("info", OBJECTS["halt_option"].address, f"{option}; the gateway never uses the halt bit")
-
-
-def _of_the_maker(lines: Lines, name: str, option: int) -> None:
-    what = f"{option} is manufacturer-specific; test its effect with `servo-gateway check --prove-stop`"
-    advice = "see the manual of the drive: the arm must not coast"
-    lines.add("info" if option < 0 else "warn", OBJECTS[name].address, what, advice)
+            yield axis.item("ok", address, "1: brings the axis to rest on a ramp before the drive is disabled")
+        else:
+            what = f"{option} is manufacturer-specific; test its effect with `servo-gateway check --prove-stop`"
+            advice = "see the manual of the drive: the arm must not coast"
+            yield axis.item("info" if option < 0 else "warn", address, what, advice)
 
 
 def quick_stop_ramp(readings: Readings) -> tuple[str, int | None]:
@@ -122,29 +111,29 @@ def quick_stop_ramp(readings: Readings) -> tuple[str, int | None]:
     return name, None if option == BY_LIMIT else value_of(readings, name)
 
 
-def _ramp(lines: Lines, readings: Readings) -> None:
+def _ramp(axis: Axis, readings: Readings) -> Iterator[Finding]:
     """Check the quick stop ramp and its duration from the cell's speed limit."""
     name, raw = quick_stop_ramp(readings)
-    address, velocity = OBJECTS[name].address, lines.axis.profile.velocity
+    address, velocity = OBJECTS[name].address, axis.profile.velocity
     option = value_of(readings, "quick_stop_option")
     if raw is None:
         if option not in (None, BY_LIMIT):
             what = "missing or not readable: duration of a quick stop unknown"
-            lines.add("fail", address, what, "set 0x605A to 3 (current limit) in the drive, if it takes that")
+            yield axis.item("fail", address, what, "set 0x605A to 3 (current limit) in the drive, if it takes that")
         return
     if raw == 0:
-        lines.add("fail", address, "0: the quick stop has no ramp", "set the deceleration in the drive")
+        yield axis.item("fail", address, "0: the quick stop has no ramp", "set the deceleration in the drive")
         return
-    counts = counts_per_revolution(lines.axis.profile, readings)
+    counts = counts_per_revolution(axis.profile, readings)
     unit_rad_s2 = None if velocity is None else velocity.ramp_rad_s2(counts)
     if unit_rad_s2 is None:
         what = f"{raw}: duration of a quick stop unknown, because the profile has no [velocity]"
         advice = (
             "copy the profile and state [velocity] from the manual, or set 0x605A to 3 (current limit) in the drive"
         )
-        lines.add("fail", address, what, advice)
+        yield axis.item("fail", address, what, advice)
         return
-    config = lines.axis.config
+    config = axis.config
     speed_rad_s = config.speed_limit_rad_s * abs(config.gear_ratio.value)
     ramp_s = speed_rad_s / (raw * unit_rad_s2)
     what = (
@@ -152,12 +141,6 @@ def _ramp(lines: Lines, readings: Readings) -> None:
     )
     if ramp_s > LONG_S:
         advice = f"raise it in the drive: more than {TOO_LONG_S:g} s is refused; or lower speed_limit_rad_s"
-        lines.add("fail" if ramp_s > TOO_LONG_S else "warn", address, what, advice)
+        yield axis.item("fail" if ramp_s > TOO_LONG_S else "warn", address, what, advice)
     else:
-        lines.add("ok", address, what)
-
-
-def _missing(lines: Lines, readings: Readings) -> None:
-    absent = [f"{OBJECTS[name]}" for name in _OPTIONAL if readings.get(OBJECTS[name].address, 0) is None]
-    if absent:
-        lines.add("info", None, f"the drive does not have {', '.join(absent)}")
+        yield axis.item("ok", address, what)

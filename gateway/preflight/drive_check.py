@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 from drives.abort import ABSENT
 from drives.bringup import identify, listen_for_masters
 from drives.busload import LOAD_LIMIT_PERCENT, cycle_bits_worst, load_percent
-from drives.drive import Cia402Drive
-from drives.errors import (
-    DriveError,
-    IdentityMismatch,
-    SdoAbort,
-    SdoProtocolError,
-    raise_failures,
-)
+from drives.errors import DriveError, IdentityMismatch, SdoAbort, SdoProtocolError, raise_failures
 from drives.instrument import InstrumentSetup
 from drives.ledger import KnownDevice, WriteLedger
 from drives.nodes import Nodes
@@ -32,7 +24,6 @@ from gateway.preflight.limits import judge_place, judge_ranges
 from gateway.preflight.rules import (
     Address,
     Axis,
-    Lines,
     Readings,
     conditions,
     judge_identity,
@@ -42,53 +33,10 @@ from gateway.preflight.rules import (
 from gateway.preflight.swap import SeenDrive, judge_places
 from gateway.result.result import Finding
 
-#: Objects read from every drive: state and settings.
+#: Objects read from every drive: state.
 READ_LIVE: Final = ("statusword", "position", "digital_inputs", "torque_offset")
-READ_SETTINGS: Final = (
-    "abort_connection_option",
-    "consumer_heartbeat",
-    "quick_stop_option",
-    "shutdown_option",
-    "disable_operation_option",
-    "halt_option",
-    "fault_reaction_option",
-    "following_error_window",
-    "following_error_timeout",
-    "max_torque",
-    "max_current",
-    "positive_torque_limit",
-    "negative_torque_limit",
-    "rated_current",
-    "rated_torque",
-    "position_range_min",
-    "position_range_max",
-    "home_offset",
-    "position_limit_min",
-    "position_limit_max",
-    "polarity",
-    "max_profile_velocity",
-    "max_motor_speed",
-    "profile_deceleration",
-    "quick_stop_deceleration",
-    "encoder_increments",
-    "encoder_revolutions",
-    "gear_motor_revolutions",
-    "gear_shaft_revolutions",
-    "feed_constant_feed",
-    "feed_constant_revolutions",
-    "position_offset",
-    "supported_modes",
-)
-
-#: Of these, what has to be readable; and of the others, whose values are checked where they are readable.
-NEEDED: Final = (
-    "statusword",
-    "position",
-    "abort_connection_option",
-    "consumer_heartbeat",
-    "quick_stop_option",
-    "fault_reaction_option",
-)
+#: Settings that have to be readable; settings whose values are checked where they are readable; and further ones.
+NEEDED: Final = ("abort_connection_option", "consumer_heartbeat", "quick_stop_option", "fault_reaction_option")
 CHECKED: Final = (
     "polarity",
     "gear_motor_revolutions",
@@ -101,30 +49,32 @@ CHECKED: Final = (
     "positive_torque_limit",
     "negative_torque_limit",
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Preflight:
-    """Readings of the drives of an arm, with their assessment.
-
-    Attributes
-    ----------
-    items : tuple of Finding
-    refusing : tuple of Finding
-        Failing items that no later step refuses. A drive in fault or a joint outside its limits is refused later, when
-        the drives are enabled or moved.
-    readings : tuple of Readings, one per axis
-        (index, subindex) -> value before any write of the gateway; None if the drive has no such object.
-    """
-
-    items: tuple[Finding, ...]
-    refusing: tuple[Finding, ...]
-    readings: tuple[Readings, ...]
+FURTHER: Final = (
+    "shutdown_option",
+    "disable_operation_option",
+    "halt_option",
+    "following_error_window",
+    "following_error_timeout",
+    "rated_current",
+    "rated_torque",
+    "position_range_min",
+    "position_range_max",
+    "home_offset",
+    "position_limit_min",
+    "position_limit_max",
+    "max_profile_velocity",
+    "max_motor_speed",
+    "profile_deceleration",
+    "quick_stop_deceleration",
+    "encoder_increments",
+    "encoder_revolutions",
+    "supported_modes",
+)
 
 
 def addresses(profile: DriveProfile) -> dict[Address, str]:
     """Return the objects to read, with their types, for a drive of this profile."""
-    wanted = {OBJECTS[name].address: OBJECTS[name].type for name in (*READ_LIVE, *READ_SETTINGS)}
+    wanted = {OBJECTS[name].address: OBJECTS[name].type for name in (*READ_LIVE, *NEEDED, *CHECKED, *FURTHER)}
     return wanted | _references(profile)
 
 
@@ -149,7 +99,7 @@ def live_addresses(profile: DriveProfile) -> frozenset[Address]:
 
 def needed_addresses(profile: DriveProfile) -> frozenset[Address]:
     """Return the objects of `addresses` without which a drive is not moved; the others only inform."""
-    return frozenset(_references(profile)) | {OBJECTS[name].address for name in NEEDED}
+    return frozenset(_references(profile)) | {OBJECTS[name].address for name in ("statusword", "position", *NEEDED)}
 
 
 def read_objects(sdo: SdoClient, profile: DriveProfile) -> tuple[Readings, dict[Address, str]]:
@@ -170,21 +120,15 @@ def read_objects(sdo: SdoClient, profile: DriveProfile) -> tuple[Readings, dict[
     needed, readings, unread = needed_addresses(profile), dict[Address, int | None](), dict[Address, str]()
     for address, kind in addresses(profile).items():
         try:
-            readings[address] = _read(sdo, address, kind)
+            readings[address] = sdo.read(*address, kind)
         except (SdoAbort, SdoProtocolError) as error:
-            if address in needed:
+            if isinstance(error, SdoAbort) and error.code in ABSENT:
+                readings[address] = None
+            elif address in needed:
                 raise
-            unread[address] = error.what
+            else:
+                unread[address] = error.what
     return readings, unread
-
-
-def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
-    try:
-        return sdo.read(*address, kind)
-    except SdoAbort as abort:
-        if abort.code in ABSENT:
-            return None
-        raise
 
 
 def as_left(readings: Readings, identity: Identity, ledger: WriteLedger, bus: str | None = None) -> Readings:
@@ -219,26 +163,11 @@ def check_arm(arm: ArmConfig, nodes: Nodes) -> list[Finding]:
     listen_for_masters(nodes)
     identify(nodes, wakes=False)
     unusable = {each.node: each for each in nodes.failures_found if not isinstance(each, IdentityMismatch)}
-    items: list[Finding] = []
-    seen: list[SeenDrive] = []
-    for axis, drive in zip(_axes(arm, [drive.setup.profile for drive in nodes.drives]), nodes.drives, strict=True):
-        try:
-            if (failure := unusable.get(drive.node_id)) is not None:
-                raise failure
-            seen.append(_seen(axis, drive, nodes))
-        except DriveError as error:
-            items.append(_unreachable(axis, error))
-    return [*items, *judge_drives(arm, seen).items]
+    seen, failures = _read_drives(arm, nodes, unusable)
+    return [*(_unreachable(axis, error) for axis, error in failures), *judge_drives(arm, seen)[0]]
 
 
-def _seen(axis: Axis, drive: Cia402Drive, nodes: Nodes) -> SeenDrive:
-    """Read a drive that was identified."""
-    readings, unread = read_objects(drive.access.sdo, axis.profile)
-    as_it_was = as_left(readings, drive.identity, nodes.ledger, nodes.bus.spec.name)
-    return SeenDrive(axis, drive.identity, as_it_was, unread)
-
-
-def look_over(arm: ArmConfig, nodes: Nodes) -> Preflight:
+def look_over(arm: ArmConfig, nodes: Nodes) -> tuple[list[Finding], tuple[Readings, ...]]:
     """Read and assess connected drives.
 
     Parameters
@@ -247,32 +176,55 @@ def look_over(arm: ArmConfig, nodes: Nodes) -> Preflight:
     nodes : Nodes
         Connected, not configured.
 
+    Returns
+    -------
+    list of Finding
+        Failing items that no later step refuses. A drive in fault or a joint outside its limits is refused later, when
+        the drives are enabled or moved.
+    tuple of Readings, one per axis
+        (index, subindex) -> value before any write of the gateway; None if the drive has no such object.
+
     Raises
     ------
     SdoError, SeveralFailures
         Some drives do not answer or refuse an object; the error lists all of them.
     """
+    seen, failures = _read_drives(arm, nodes, {})
+    raise_failures([error for _, error in failures])
+    return judge_drives(arm, seen)[1], tuple(drive.readings for drive in seen)
+
+
+def _read_drives(
+    arm: ArmConfig, nodes: Nodes, unusable: Mapping[int | None, DriveError]
+) -> tuple[list[SeenDrive], list[tuple[Axis, DriveError]]]:
+    """Read all drives but those that are known to be unusable; return what was read, and the failures."""
     seen: list[SeenDrive] = []
-    failures: list[DriveError] = []
-    axes = _axes(arm, [access.profile for access in nodes.access])
-    for axis, drive in zip(axes, nodes.drives, strict=True):
+    failures: list[tuple[Axis, DriveError]] = []
+    for joint, (config, drive) in enumerate(zip(arm.axis, nodes.drives, strict=True), start=1):
+        axis = Axis(joint, config, drive.setup.profile)
         try:
-            seen.append(_seen(axis, drive, nodes))
+            if (failure := unusable.get(drive.node_id)) is not None:
+                raise failure
+            readings, unread = read_objects(drive.access.sdo, axis.profile)
+            as_it_was = as_left(readings, drive.identity, nodes.ledger, nodes.bus.spec.name)
+            seen.append(SeenDrive(axis, drive.identity, as_it_was, unread))
         except DriveError as error:
-            failures.append(error)
-    raise_failures(failures)
-    return judge_drives(arm, seen)
+            failures.append((axis, error))
+    return seen, failures
 
 
-def judge_drives(arm: ArmConfig, seen: Sequence[SeenDrive]) -> Preflight:
-    """Assess drives that were read, swapped drives first."""
+def judge_drives(arm: ArmConfig, seen: Sequence[SeenDrive]) -> tuple[list[Finding], list[Finding]]:
+    """Assess drives that were read, swapped drives first; also return the failing items as `look_over` does."""
     items = judge_places(arm, seen)
     refusing = [item for item in items if item.severity == "fail"]
+    checked = {OBJECTS[name].address for name in CHECKED}
     for drive in seen:
         axis, readings = drive.axis, drive.readings
         items += [*judge_identity(axis, drive.identity), *judge_state(axis, readings)]
         items += judge_place(axis, arm, readings)
-        items += _unreadable(axis, drive.unread)
+        for address, why in drive.unread.items():
+            advice = "compare it with the manual: it is not checked" if address in checked else ""
+            items.append(axis.item("warn" if advice else "info", address, f"not readable: {why}", advice))
         settings = [
             *judge_settings(axis, readings),
             *judge_coasting(axis, readings),
@@ -280,7 +232,7 @@ def judge_drives(arm: ArmConfig, seen: Sequence[SeenDrive]) -> Preflight:
         ]
         items += settings
         refusing += [item for item in settings if item.severity == "fail"]
-    return Preflight(tuple(items), tuple(refusing), tuple(drive.readings for drive in seen))
+    return items, refusing
 
 
 def require_passed(items: Sequence[Finding], otherwise: str) -> None:
@@ -301,11 +253,6 @@ def require_passed(items: Sequence[Finding], otherwise: str) -> None:
     if failed:
         first, more = failed[0], f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
         raise FindingFailed(f"{otherwise}: {first.where}: {first.what}; {first.advice}{more}")
-
-
-def _axes(arm: ArmConfig, profiles: Sequence[DriveProfile]) -> list[Axis]:
-    pairs = zip(arm.axis, profiles, strict=True)
-    return [Axis(joint, config, profile) for joint, (config, profile) in enumerate(pairs, start=1)]
 
 
 def judge_bus_load(
@@ -341,15 +288,6 @@ def judge_bus_load(
         return Finding("ok", "bus", what)
     advice = f"set sync_period_s to at least {shortest_s:.4f}"
     return Finding("fail" if config.pacing == "real" else "warn", "bus", what, advice)
-
-
-def _unreadable(axis: Axis, unread: Mapping[Address, str]) -> list[Finding]:
-    """Return one item per object that could not be read; it warns where the value would have been checked."""
-    lines, checked = Lines(axis), {OBJECTS[name].address for name in CHECKED}
-    for address, why in unread.items():
-        advice = "compare it with the manual: it is not checked" if address in checked else ""
-        lines.add("warn" if advice else "info", address, f"not readable: {why}", advice)
-    return lines.items
 
 
 def _unreachable(axis: Axis, error: DriveError) -> Finding:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -13,13 +14,18 @@ from drives.profile_file import find_profile
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
 from gateway.errors import PlanRefused
-from gateway.preflight.rules import Axis, Lines, Readings, counts_per_revolution, value_of
+from gateway.preflight.rules import Axis, Readings, counts_per_revolution, value_of
 from gateway.result.result import Finding
 
 #: Following error windows beyond this multiple of the cell's limit are too wide to protect.
 WIDE: Final = 4.0
 _I32_MAX: Final = 0x7FFFFFFF
 _NARROW: Final = "narrow position_limit_rad to that, or lower the resolution of positions in the drive (0x608F)"
+#: Ranges of the drive, and what to do where they are narrower than the joint limits.
+_RANGES: Final = {
+    "position_limit": "the drive stops before the cell's limit: narrow position_limit_rad",
+    "position_range": "the position wraps around at the end of this range: widen it, or narrow position_limit_rad",
+}
 #: Command that moves a joint into its range; CELL is replaced by the file name where it is known.
 MOVE_HOME: Final = "servo-gateway move CELL --to home"
 
@@ -35,30 +41,37 @@ def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]
     readings : mapping
         (index, subindex) -> value.
     """
-    lines = Lines(axis)
     turn, position = counts_per_revolution(axis.profile, readings), value_of(readings, "position")
-    if turn is not None and position is not None and arm.coupling is None:
-        low, high = axis.config.position_limit_rad
-        q_rad = _joint_rad(arm, axis.joint, position / turn)
-        inside = low <= q_rad <= high
-        what = f"is at {q_rad:.3f} rad, limits {low:g} to {high:g} rad"
-        remedy = f"bring the joint inside its limits ({MOVE_HOME}), or correct zero_offset_rad and position_sign"
-        advice = "" if inside else remedy
-        lines.add("ok" if inside else "fail", OBJECTS["position"].address, what, advice)
-    return lines.items
+    if turn is None or position is None or arm.coupling is not None:
+        return []
+    low, high = axis.config.position_limit_rad
+    q_rad = _joint_rad(arm, axis.joint, position / turn)
+    inside = low <= q_rad <= high
+    what = f"is at {q_rad:.3f} rad, limits {low:g} to {high:g} rad"
+    remedy = f"bring the joint inside its limits ({MOVE_HOME}), or correct zero_offset_rad and position_sign"
+    advice = "" if inside else remedy
+    return [axis.item("ok" if inside else "fail", OBJECTS["position"].address, what, advice)]
 
 
-def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
+def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> Iterator[Finding]:
     """Check software limits, position range and following error window; parameters as `judge_place`."""
-    lines = Lines(axis)
-    if counts_per_revolution(axis.profile, readings) is None:
-        return lines.items
-    _following(lines, readings)
-    _representable(lines, arm, readings)
-    if arm.coupling is None:
-        _software_limits(lines, arm, readings)
-        _position_range(lines, arm, readings)
-    return lines.items
+    turn = counts_per_revolution(axis.profile, readings)
+    if turn is None:
+        return
+    yield from _following(axis, readings, turn)
+    beyond = beyond_counts(arm, axis.joint, turn)
+    if beyond is not None:
+        yield axis.item("fail", OBJECTS["target_position"].address, beyond, _NARROW)
+    low, high = axis.config.position_limit_rad
+    for name, advice in _RANGES.items() if arm.coupling is None else ():
+        drive, address = _range_rad(axis, arm, readings, name), OBJECTS[f"{name}_min"].address
+        if drive is not None:
+            what = f"drive {drive[0]:.3f} to {drive[1]:.3f} rad, cell {low:g} to {high:g} rad"
+            covers = drive[0] <= low and drive[1] >= high
+            yield axis.item("ok" if covers else "fail", address, what, "" if covers else advice)
+        elif name == "position_limit":
+            what = "no software limits in the drive; the gateway applies those of the cell file"
+            yield axis.item("info", address, what)
 
 
 def software_range_rad(axis: Axis, arm: ArmConfig, readings: Readings) -> tuple[float, float] | None:
@@ -73,29 +86,6 @@ def _range_rad(axis: Axis, arm: ArmConfig, readings: Readings, name: str) -> tup
         return None
     ends = [_joint_rad(arm, axis.joint, end / turn) for end in (first, second)]
     return min(ends), max(ends)
-
-
-def _software_limits(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
-    drive = software_range_rad(lines.axis, arm, readings)
-    if drive is None:
-        what = "no software limits in the drive; the gateway applies those of the cell file"
-        lines.add("info", OBJECTS["position_limit_min"].address, what)
-        return
-    _covers(lines, "position_limit_min", drive, "the drive stops before the cell's limit: narrow position_limit_rad")
-
-
-def _position_range(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
-    drive = _range_rad(lines.axis, arm, readings, "position_range")
-    if drive is not None:
-        advice = "the position wraps around at the end of this range: widen it, or narrow position_limit_rad"
-        _covers(lines, "position_range_min", drive, advice)
-
-
-def _representable(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
-    turn = counts_per_revolution(lines.axis.profile, readings)
-    said = None if turn is None else beyond_counts(arm, lines.axis.joint, turn)
-    if said is not None:
-        lines.add("fail", OBJECTS["target_position"].address, said, _NARROW)
 
 
 def beyond_counts(arm: ArmConfig, joint: int, turn: float) -> str | None:
@@ -140,30 +130,21 @@ def refuse_beyond_counts(loaded: LoadedCell, arm: ArmConfig) -> None:
             raise PlanRefused(f"arm '{arm.name}', J{joint} node {axis.node_id}: {said}; {_NARROW}")
 
 
-def _covers(lines: Lines, name: str, drive: tuple[float, float], advice: str) -> None:
-    low, high = lines.axis.config.position_limit_rad
-    what = f"drive {drive[0]:.3f} to {drive[1]:.3f} rad, cell {low:g} to {high:g} rad"
-    if drive[0] > low or drive[1] < high:
-        lines.add("fail", OBJECTS[name].address, what, advice)
-    else:
-        lines.add("ok", OBJECTS[name].address, what)
-
-
-def _following(lines: Lines, readings: Readings) -> None:
-    window, turn = value_of(readings, "following_error_window"), counts_per_revolution(lines.axis.profile, readings)
-    if window is None or turn is None:
+def _following(axis: Axis, readings: Readings, turn: float) -> Iterator[Finding]:
+    window = value_of(readings, "following_error_window")
+    if window is None:
         return
-    config, address = lines.axis.config, OBJECTS["following_error_window"].address
+    config, address = axis.config, OBJECTS["following_error_window"].address
     error_rad = 2.0 * math.pi * window / turn / abs(config.gear_ratio.value)
     limit = f"following_error_limit_rad of the cell is {config.following_error_limit_rad:g}"
     if window == 0:
         what = "0: the drive does not monitor its following error, or faults at once"
-        lines.add("warn", address, what, f"set the window in the drive; {limit}")
+        yield axis.item("warn", address, what, f"set the window in the drive; {limit}")
     elif error_rad > WIDE * config.following_error_limit_rad:
         what = f"{error_rad:.3g} rad at the joint: too wide for the drive to detect a collision without the master"
-        lines.add("warn", address, what, f"narrow the window in the drive; {limit}")
+        yield axis.item("warn", address, what, f"narrow the window in the drive; {limit}")
     else:
-        lines.add("ok", address, f"{error_rad:.3g} rad at the joint; {limit}")
+        yield axis.item("ok", address, f"{error_rad:.3g} rad at the joint; {limit}")
 
 
 def _joint_rad(arm: ArmConfig, joint: int, revolutions: float) -> float:

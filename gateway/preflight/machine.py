@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -20,36 +19,29 @@ MEASURE_S: Final = 0.3
 DELAY_SHARE: Final = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class Timer:
-    """Monotonic time [s] and a wait function."""
-
-    now: Callable[[], float] = time.monotonic
-    sleep: Callable[[float], None] = time.sleep
-
-
-def measure_lateness(period_s: float, timer: Timer | None = None) -> list[float]:
+def measure_lateness(
+    period_s: float, now: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep
+) -> list[float]:
     """Measure the delay of a timer loop without work, per period.
 
     Parameters
     ----------
     period_s : float
-    timer : Timer, optional
-        Default: timer of the system.
+    now, sleep : callables, optional
+        Monotonic time [s], and wait function.
 
     Returns
     -------
     list of float
         One per period [s].
     """
-    timer = timer or Timer()
-    start = timer.now()
+    start = now()
     delays: list[float] = []
     for number in range(1, max(2, round(MEASURE_S / period_s)) + 1):
         due = start + number * period_s
-        while (left := due - timer.now()) > 0.0:
-            timer.sleep(left)
-        delays.append(timer.now() - due)
+        while (left := due - now()) > 0.0:
+            sleep(left)
+        delays.append(now() - due)
     return delays
 
 
@@ -104,9 +96,14 @@ def judge_bus(config: BusConfig, spec: BusSpec) -> list[Finding]:
     return items
 
 
-def judge_surroundings(config: BusConfig, spec: BusSpec, timer: Timer | None = None) -> list[Finding]:
+def judge_surroundings(
+    config: BusConfig,
+    spec: BusSpec,
+    now: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> list[Finding]:
     """Check access and clock of one bus; in lockstep the clock is not checked."""
     items = judge_bus(config, spec)
     if config.pacing == "real":
-        items.append(judge_lateness(measure_lateness(config.sync_period_s, timer), config.sync_period_s))
+        items.append(judge_lateness(measure_lateness(config.sync_period_s, now, sleep), config.sync_period_s))
     return items

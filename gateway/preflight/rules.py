@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 from drives.cia402 import FAULTED, Mode, State, decode_state, describe, mode_supported
 from drives.objects import OBJECTS, object_name
-from drives.profile import Constant, DriveProfile, Signal
-from drives.profile_parts import Condition, SafetyCondition
+from drives.profile import Condition, Constant, DriveProfile, SafetyCondition, Signal
 from drives.values import Identity
 from gateway.cell.config import AxisConfig
 from gateway.result.finding import Finding, Severity
@@ -34,29 +33,10 @@ class Axis:
     config: AxisConfig
     profile: DriveProfile
 
-
-class Lines:
-    """Collector of the items of one axis.
-
-    Parameters
-    ----------
-    axis : Axis
-
-    Attributes
-    ----------
-    items : list of Finding
-    """
-
-    def __init__(self, axis: Axis) -> None:
-        self.axis = axis
-        self.items: list[Finding] = []
-
-    def add(self, severity: Severity, address: Address | None, what: str, advice: str = "") -> None:
-        """Add an item about an object or about the axis."""
-        place = f"J{self.axis.joint} node {self.axis.config.node_id}"
-        if address is not None:
-            place += f":{object_name(*address)}"
-        self.items.append(Finding(severity, place, what, advice))
+    def item(self, severity: Severity, address: Address | None, what: str, advice: str = "") -> Finding:
+        """Return an item about an object of this axis, or about the axis."""
+        place = f"J{self.joint} node {self.config.node_id}"
+        return Finding(severity, place if address is None else f"{place}:{object_name(*address)}", what, advice)
 
 
 def judge_state(axis: Axis, readings: Readings) -> list[Finding]:
@@ -68,20 +48,14 @@ def judge_state(axis: Axis, readings: Readings) -> list[Finding]:
     readings : mapping
         (index, subindex) -> value; None if the drive has no such object.
     """
-    return _judged(axis, readings, (_state, _rated, _resolution, _conditions))
+    rules = (_state, _rated, _resolution, _conditions)
+    return [item for rule in rules for item in rule(axis, readings)]
 
 
 def judge_settings(axis: Axis, readings: Readings) -> list[Finding]:
     """Check the settings of the drive that no later step refuses; parameters as `judge_state`."""
-    rules = (_obstacles, _mode, _torque_object, _torque_limits, _encoder, _scaling, _offsets, _watchdog)
-    return _judged(axis, readings, rules)
-
-
-def _judged(axis: Axis, readings: Readings, rules: Sequence[Callable[[Lines, Readings], None]]) -> list[Finding]:
-    lines = Lines(axis)
-    for rule in rules:
-        rule(lines, readings)
-    return lines.items
+    rules = (_obstacles, _mode, _torque_object, _torque_limits, _encoder, _scaling, _watchdog)
+    return [item for rule in rules for item in rule(axis, readings)]
 
 
 def value_of(readings: Readings, name: str) -> int | None:
@@ -98,14 +72,14 @@ def judge_identity(axis: Axis, identity: Identity) -> list[Finding]:
     axis : Axis
     identity : Identity
     """
-    lines = Lines(axis)
-    address = OBJECTS["vendor_id"].address
+    items: list[Finding] = []
     if not identity.is_drive:
         what = f"device type {_hex(identity.device_type)} is not a CiA 402 drive"
-        lines.add("fail", OBJECTS["device_type"].address, what, "check the node id")
+        items.append(axis.item("fail", OBJECTS["device_type"].address, what, "check the node id"))
+    advice = "check wiring and node ids, or choose the profile of this drive and firmware"
     for problem in identity.mismatches(axis.profile):
         what = f"{problem} (profile '{axis.profile.name}')"
-        lines.add("fail", address, what, "check wiring and node ids, or choose the profile of this drive and firmware")
+        items.append(axis.item("fail", OBJECTS["vendor_id"].address, what, advice))
     parts = {
         "vendor": _hex(identity.vendor_id),
         "product": _hex(identity.product_code),
@@ -113,31 +87,32 @@ def judge_identity(axis: Axis, identity: Identity) -> list[Finding]:
         "serial": _hex(identity.serial_number),
         "firmware": identity.software_version or "not reported",
     }
-    lines.add("info", None, ", ".join(f"{name} {value}" for name, value in parts.items()))
-    return lines.items
+    return [*items, axis.item("info", None, ", ".join(f"{name} {value}" for name, value in parts.items()))]
 
 
 def _hex(value: int | None) -> str:
     return "not reported" if value is None else f"0x{value:X}"
 
 
-def _state(lines: Lines, readings: Readings) -> None:
+def _state(axis: Axis, readings: Readings) -> Iterator[Finding]:
     word = value_of(readings, "statusword")
     address = OBJECTS["statusword"].address
     if word is None:
-        lines.add("fail", address, "the drive has no statusword", "this is not a CiA 402 drive")
+        yield axis.item("fail", address, "the drive has no statusword", "this is not a CiA 402 drive")
         return
     state = decode_state(word)
     if state in FAULTED:
-        lines.add("fail", address, describe(word), "read the fault, remove its cause, reset it at the drive")
+        yield axis.item("fail", address, describe(word), "read the fault, remove its cause, reset it at the drive")
     elif state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
         what = f"{describe(word)}: the drive is energised, although this command has not enabled it"
         advice = "stop the other master; after an interrupted run `servo-gateway restore CELL` disables the drive"
-        lines.add("fail", address, what, advice)
+        yield axis.item("fail", address, what, advice)
     elif state is State.SWITCHED_ON:
-        lines.add("warn", address, describe(word), "`servo-gateway restore CELL` disables it, unless a master uses it")
+        yield axis.item(
+            "warn", address, describe(word), "`servo-gateway restore CELL` disables it, unless a master uses it"
+        )
     else:
-        lines.add("ok", address, describe(word))
+        yield axis.item("ok", address, describe(word))
 
 
 def conditions(profile: DriveProfile) -> tuple[Condition, ...]:
@@ -145,74 +120,76 @@ def conditions(profile: DriveProfile) -> tuple[Condition, ...]:
     return (*profile.safety, *(() if profile.reference is None else (profile.reference,)))
 
 
-def _conditions(lines: Lines, readings: Readings) -> None:
-    for condition in conditions(lines.axis.profile):
+def _conditions(axis: Axis, readings: Readings) -> Iterator[Finding]:
+    for condition in conditions(axis.profile):
         address = (condition.object.index, condition.object.subindex)
         value = readings.get(address)
         safety = isinstance(condition, SafetyCondition)
         name = condition.what if safety else "encoder is not referenced"
         if value is None:
             what = f"{name}: the drive does not have this status object"
-            lines.add("fail", address, what, "correct [safety] or [reference] of the profile")
+            yield axis.item("fail", address, what, "correct [safety] or [reference] of the profile")
         elif not condition.holds(value):
             advice = "release it before the arm moves" if safety else "reference the encoder at the drive"
-            lines.add("fail", address, f"{name}: {condition.describe(value)}", advice)
+            yield axis.item("fail", address, f"{name}: {condition.describe(value)}", advice)
         else:
-            lines.add("ok", address, f"0x{value:X}: ready for motion")
+            yield axis.item("ok", address, f"0x{value:X}: ready for motion")
 
 
-def _mode(lines: Lines, readings: Readings) -> None:
+def _mode(axis: Axis, readings: Readings) -> Iterator[Finding]:
     modes = value_of(readings, "supported_modes")
     address = OBJECTS["supported_modes"].address
     if modes is None:
-        lines.add("info", address, "the drive does not report its modes; the mode is read back when it is set")
+        yield axis.item("info", address, "the drive does not report its modes; the mode is read back when it is set")
     elif not mode_supported(modes, Mode.CYCLIC_SYNC_POSITION):
-        lines.add("fail", address, f"0x{modes:X}: no cyclic synchronous position mode", "enable mode 8 in the drive")
+        yield axis.item(
+            "fail", address, f"0x{modes:X}: no cyclic synchronous position mode", "enable mode 8 in the drive"
+        )
     else:
-        lines.add("ok", address, "cyclic synchronous position is supported")
+        yield axis.item("ok", address, "cyclic synchronous position is supported")
 
 
-def _torque_object(lines: Lines, readings: Readings) -> None:
-    torque = lines.axis.profile.torque
+def _torque_object(axis: Axis, readings: Readings) -> Iterator[Finding]:
+    torque = axis.profile.torque
     address = (torque.object.index, torque.object.subindex)
     if torque.nature != "measured":
         what = f"the torque object of the profile is {torque.nature}, not measured: a load cannot be estimated from it"
-        lines.add("fail", address, what, "use the measured torque or current of the drive in the profile")
+        yield axis.item("fail", address, what, "use the measured torque or current of the drive in the profile")
     elif readings.get(address) is None:
-        lines.add("fail", address, "the drive does not have the torque object", "use another profile")
+        yield axis.item("fail", address, "the drive does not have the torque object", "use another profile")
     elif torque.assumed:
-        lines.add("warn", address, f"assumed, {torque.kind.replace('_', ' ')} ({torque.source})")
+        yield axis.item("warn", address, f"assumed, {torque.kind.replace('_', ' ')} ({torque.source})")
     else:
-        lines.add("ok", address, f"measured, {torque.kind.replace('_', ' ')} ({torque.source})")
+        yield axis.item("ok", address, f"measured, {torque.kind.replace('_', ' ')} ({torque.source})")
 
 
-def _obstacles(lines: Lines, readings: Readings) -> None:
+def _obstacles(axis: Axis, readings: Readings) -> Iterator[Finding]:
     del readings
-    config = lines.axis.config
+    config = axis.config
     if config.torque_limit_is_assumed:
         what = f"torque_limit_nm = {config.torque_limit_nm:g} is not confirmed ({config.torque_limit_source})"
-        lines.add("fail", None, what, CONFIRM_TORQUE)
-    profile = lines.axis.profile
+        yield axis.item("fail", None, what, CONFIRM_TORQUE)
+    profile = axis.profile
     for obstacle in profile.obstacles:
         what, _, advice = obstacle.partition(": ")
-        lines.add("fail", None, f"profile {profile.name} refuses motion: {what}", advice or "use another drive")
+        yield axis.item("fail", None, f"profile {profile.name} refuses motion: {what}", advice or "use another drive")
 
 
-def _rated(lines: Lines, readings: Readings) -> None:
-    rated = lines.axis.profile.torque.rated
+def _rated(axis: Axis, readings: Readings) -> Iterator[Finding]:
+    rated = axis.profile.torque.rated
     if rated is None:
         return
     if rated.object is None:
-        lines.add("info", None, f"rated value {rated.value:g} from {rated.source}")
+        yield axis.item("info", None, f"rated value {rated.value:g} from {rated.source}")
         return
     address = (rated.object.index, rated.object.subindex)
     value = readings.get(address)
     if not isinstance(value, int) or value <= 0:
         what = "missing" if value is None else f"{value}: all torques would be zero"
-        lines.add("fail", address, what, "set the rated value of the motor in the drive")
+        yield axis.item("fail", address, what, "set the rated value of the motor in the drive")
     else:
-        unit = "A" if lines.axis.profile.torque.is_current else "Nm"
-        lines.add("ok", address, f"{value * (rated.unit or math.nan):g} {unit} is 1000 per mille")
+        unit = "A" if axis.profile.torque.is_current else "Nm"
+        yield axis.item("ok", address, f"{value * (rated.unit or math.nan):g} {unit} is 1000 per mille")
 
 
 def joint_torque_limit_nm(axis: Axis, readings: Readings, name: str = "max_torque") -> float | None:
@@ -243,43 +220,32 @@ def _rated_value(signal: Signal, readings: Readings) -> float | None:
     return word * (rated.unit or math.nan) if isinstance(word, int) else None
 
 
-def _torque_limits(lines: Lines, readings: Readings) -> None:
-    _max_torque(lines, readings)
-    beside = {name: joint_torque_limit_nm(lines.axis, readings, name) for name in DIRECTED}
-    beside["max_current"] = joint_current_limit_nm(lines.axis, readings)
-    for name, joint in beside.items():
-        limit, address = value_of(readings, name), OBJECTS[name].address
-        if limit == 0:
-            lines.add("fail", address, "0: the drive produces no torque", "set the limit in the drive")
-        elif joint is not None and joint < lines.axis.config.torque_limit_nm:
-            lines.add("warn", address, _narrow(lines.axis, limit, joint), SATURATES)
+def _torque_limits(axis: Axis, readings: Readings) -> Iterator[Finding]:
+    limits = {name: joint_torque_limit_nm(axis, readings, name) for name in ("max_torque", *DIRECTED)}
+    limits["max_current"] = joint_current_limit_nm(axis, readings)
+    stated_nm = axis.config.torque_limit_nm
+    for name, joint_nm in limits.items():
+        limit, address, is_total = value_of(readings, name), OBJECTS[name].address, name == "max_torque"
+        if limit == 0 and (joint_nm is not None or not is_total):
+            advice = "set the torque limit in the drive" if is_total else "set the limit in the drive"
+            yield axis.item("fail", address, "0: the drive produces no torque", advice)
+        elif joint_nm is None:
+            continue
+        elif is_total and not 1.0 / IMPLAUSIBLE < joint_nm / stated_nm < IMPLAUSIBLE:
+            what = f"{limit} per mille is {joint_nm:.3g} Nm at the joint, the cell allows {stated_nm:g} Nm"
+            advice = "rated torque in another unit (uNm, mNm) or a wrong gear_ratio: correct it"
+            yield axis.item("fail", address, what, advice)
+        elif joint_nm < stated_nm:
+            what = f"{limit} per mille is {joint_nm:.0f} Nm at the joint, the cell allows {stated_nm:g} Nm"
+            yield axis.item("warn", address, what, SATURATES)
+        elif is_total:
+            yield axis.item("ok", address, f"{limit} per mille is {joint_nm:.0f} Nm at the joint")
 
 
-def _max_torque(lines: Lines, readings: Readings) -> None:
-    config, limit = lines.axis.config, value_of(readings, "max_torque")
-    address = OBJECTS["max_torque"].address
-    joint = joint_torque_limit_nm(lines.axis, readings)
-    if joint is None:
-        return
-    if limit == 0:
-        lines.add("fail", address, "0: the drive produces no torque", "set the torque limit in the drive")
-    elif not 1.0 / IMPLAUSIBLE < joint / config.torque_limit_nm < IMPLAUSIBLE:
-        what = f"{limit} per mille is {joint:.3g} Nm at the joint, the cell allows {config.torque_limit_nm:g} Nm"
-        lines.add("fail", address, what, "rated torque in another unit (uNm, mNm) or a wrong gear_ratio: correct it")
-    elif joint < config.torque_limit_nm:
-        lines.add("warn", address, _narrow(lines.axis, limit, joint), SATURATES)
-    else:
-        lines.add("ok", address, f"{limit} per mille is {joint:.0f} Nm at the joint")
-
-
-def _narrow(axis: Axis, limit: int | None, joint_nm: float) -> str:
-    return f"{limit} per mille is {joint_nm:.0f} Nm at the joint, the cell allows {axis.config.torque_limit_nm:g} Nm"
-
-
-def _encoder(lines: Lines, readings: Readings) -> None:
+def _encoder(axis: Axis, readings: Readings) -> Iterator[Finding]:
     """Compare 0x608F of the drive with the counts per motor revolution of the profile."""
     increments, turns = value_of(readings, "encoder_increments"), value_of(readings, "encoder_revolutions")
-    profile = lines.axis.profile
+    profile = axis.profile
     assumed = profile.position.counts_per_revolution
     if not increments or not turns:
         return
@@ -288,68 +254,64 @@ def _encoder(lines: Lines, readings: Readings) -> None:
             what = f"the drive counts {increments} in {turns} motor revolutions, profile {profile.name} assumes "
             what += f"{assumed.value:g} in one"
             advice = "correct counts_per_revolution of the profile, or 0x608F in the drive"
-            lines.add("warn" if turns == 1 else "fail", OBJECTS["encoder_increments"].address, what, advice)
+            yield axis.item("warn" if turns == 1 else "fail", OBJECTS["encoder_increments"].address, what, advice)
         return
     reads_increments = (assumed.object.index, assumed.object.subindex) == OBJECTS["encoder_increments"].address
     if assumed.per is None and reads_increments and turns != 1:
         what = f"{turns}: 608F:01 counts {turns} motor revolutions, profile {profile.name} takes them for one: every "
         what += f"joint moves {turns} times as far as reported"
         advice = 'add per = { index = 0x608F, subindex = 2, type = "u32" } to counts_per_revolution of the profile'
-        lines.add("fail", OBJECTS["encoder_revolutions"].address, what, advice)
+        yield axis.item("fail", OBJECTS["encoder_revolutions"].address, what, advice)
 
 
-def _scaling(lines: Lines, readings: Readings) -> None:
+def _scaling(axis: Axis, readings: Readings) -> Iterator[Finding]:
     polarity = value_of(readings, "polarity")
     if polarity:
         what = f"0x{polarity:02X}: the drive inverts position or velocity, possibly not torque"
         advice = "set it to 0 and use position_sign and torque_sign of the cell file"
-        lines.add("fail", OBJECTS["polarity"].address, what, advice)
+        yield axis.item("fail", OBJECTS["polarity"].address, what, advice)
     motor, shaft = value_of(readings, "gear_motor_revolutions"), value_of(readings, "gear_shaft_revolutions")
     if motor is not None and shaft is not None and motor != shaft:
         what = f"{motor}:{shaft}: the drive applies a gear ratio to the position"
         advice = "set it to 1:1; state the ratio in the cell file"
-        lines.add("fail", OBJECTS["gear_motor_revolutions"].address, what, advice)
-    _feed(lines, readings)
+        yield axis.item("fail", OBJECTS["gear_motor_revolutions"].address, what, advice)
+    # a feed constant of 1:1 or of the encoder counts; other values scale the position
+    feed, turns = value_of(readings, "feed_constant_feed"), value_of(readings, "feed_constant_revolutions")
+    counts = counts_per_revolution(axis.profile, readings)
+    if feed is not None and turns is not None and feed != turns and (counts is None or feed != counts * turns):
+        what = f"{feed}:{turns}: the drive scales the position by a feed constant"
+        advice = "set it to 1:1, or to the counts of one motor revolution"
+        yield axis.item("fail", OBJECTS["feed_constant_feed"].address, what, advice)
     offset = value_of(readings, "position_offset")
     if offset:
         what = f"{offset} counts are added to every target position"
-        lines.add("fail", OBJECTS["position_offset"].address, what, "set it to 0; use zero_offset_rad of the cell file")
+        yield axis.item(
+            "fail", OBJECTS["position_offset"].address, what, "set it to 0; use zero_offset_rad of the cell file"
+        )
+    torque_offset = value_of(readings, "torque_offset")
+    if torque_offset:
+        what = f"{torque_offset} per mille torque offset is active"
+        advice = "set it to 0: a remaining torque offset biases readings"
+        yield axis.item("warn", OBJECTS["torque_offset"].address, what, advice)
 
 
-def _feed(lines: Lines, readings: Readings) -> None:
-    """Check the feed constant: 1:1 or the encoder counts; other values scale the position."""
-    feed, turns = value_of(readings, "feed_constant_feed"), value_of(readings, "feed_constant_revolutions")
-    if feed is None or turns is None or feed == turns:
-        return
-    counts = counts_per_revolution(lines.axis.profile, readings)
-    if counts is None or feed != counts * turns:
-        what = f"{feed}:{turns}: the drive scales the position by a feed constant"
-        advice = "set it to 1:1, or to the counts of one motor revolution"
-        lines.add("fail", OBJECTS["feed_constant_feed"].address, what, advice)
-
-
-def _resolution(lines: Lines, readings: Readings) -> None:
-    if counts_per_revolution(lines.axis.profile, readings) is None:
+def _resolution(axis: Axis, readings: Readings) -> Iterator[Finding]:
+    if counts_per_revolution(axis.profile, readings) is None:
         what = "encoder resolution is missing or zero"
-        lines.add("fail", OBJECTS["encoder_increments"].address, what, "set it in the drive or give it in the profile")
-
-
-def _offsets(lines: Lines, readings: Readings) -> None:
-    offset = value_of(readings, "torque_offset")
-    if offset:
-        what = f"{offset} per mille torque offset is active"
-        lines.add(
-            "warn", OBJECTS["torque_offset"].address, what, "set it to 0: a remaining torque offset biases readings"
+        yield axis.item(
+            "fail", OBJECTS["encoder_increments"].address, what, "set it in the drive or give it in the profile"
         )
 
 
-def _watchdog(lines: Lines, readings: Readings) -> None:
+def _watchdog(axis: Axis, readings: Readings) -> Iterator[Finding]:
     missing = [name for name in ("abort_connection_option", "consumer_heartbeat") if value_of(readings, name) is None]
     for name in missing:
         what = "missing: the drive does not detect loss of the master"
-        lines.add("fail", OBJECTS[name].address, what, "use a drive or firmware that monitors the master's heartbeat")
+        yield axis.item(
+            "fail", OBJECTS[name].address, what, "use a drive or firmware that monitors the master's heartbeat"
+        )
     if not missing:
-        lines.add("ok", OBJECTS["consumer_heartbeat"].address, "the drive can monitor the master's heartbeat")
+        yield axis.item("ok", OBJECTS["consumer_heartbeat"].address, "the drive can monitor the master's heartbeat")
 
 
 def counts_per_revolution(profile: DriveProfile, readings: Readings) -> float | None:

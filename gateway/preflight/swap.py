@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final
@@ -55,22 +55,9 @@ class SeenDrive:
     readings: Readings
     unread: Mapping[Address, str] = field(default_factory=dict[Address, str])
 
-    def at(self, axis: Axis) -> SeenDrive:
-        """Return the same drive, assigned to another axis."""
-        return replace(self, axis=axis)
 
-
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    """Two drives, as addressed and swapped."""
-
-    arm: ArmConfig
-    as_stated: tuple[SeenDrive, SeenDrive]
-    exchanged: tuple[SeenDrive, SeenDrive]
-
-
-#: True: evidence for a swap; False: against it; None: no evidence.
-_Evidence = Callable[[_Pair], bool | None]
+#: Two drives, as addressed or swapped.
+_Two = tuple[SeenDrive, SeenDrive]
 
 
 def judge_places(arm: ArmConfig, drives: Sequence[SeenDrive]) -> list[Finding]:
@@ -88,65 +75,54 @@ def judge_places(arm: ArmConfig, drives: Sequence[SeenDrive]) -> list[Finding]:
         One failing item per pair; a warning if only the torques indicate it. A drive that fits several other axes
         gives none.
     """
-    found: list[tuple[SeenDrive, SeenDrive, list[str]]] = []
+    found: list[tuple[Axis, Axis, list[str]]] = []
     for first, second in combinations(drives, 2):
-        pair = _Pair(arm, (first, second), (first.at(second.axis), second.at(first.axis)))
-        reasons = _reasons(pair)
-        if reasons:
-            found.append((first, second, reasons))
-    named = [drive.axis.joint for first, second, _ in found for drive in (first, second)]
-    return [
-        _line(first.axis, second.axis, reasons)
-        for first, second, reasons in found
-        if named.count(first.axis.joint) == named.count(second.axis.joint) == 1
-    ]
+        stated, exchanged = (first, second), (replace(first, axis=second.axis), replace(second, axis=first.axis))
+        # True: evidence for a swap; False: against it; None: no evidence
+        matching = [[not each.identity.mismatches(each.axis.profile) for each in two] for two in (stated, exchanged)]
+        gears = [[_same_gear(drive) for drive in two] for two in (stated, exchanged)]
+        evidence = {
+            "model": _all_agree(*matching),
+            "software limits": _ranges(arm, stated, exchanged),
+            TORQUE: _torques(stated, exchanged),
+            "gear ratio": _all_agree(*gears),
+        }
+        reasons = [name for name, value in evidence.items() if value]
+        have_limits = all(software_range_rad(drive.axis, arm, drive.readings) for drive in stated)
+        if reasons and False not in evidence.values() and not (reasons == [TORQUE] and have_limits):
+            found.append((first.axis, second.axis, reasons))
+    named = [axis.joint for *pair, _ in found for axis in pair]
+    items: list[Finding] = []
+    for first, second, reasons in found:
+        if not named.count(first.joint) == named.count(second.joint) == 1:
+            continue
+        joints, ids = f"J{first.joint} and J{second.joint}", f"{first.config.node_id} and {second.config.node_id}"
+        what = f"the drives of {joints} look swapped (node ids or motor cables): each fits the other's axis by its "
+        only_torque = reasons == [TORQUE]
+        advice = f"swap node ids {ids} in the cell file or in the drives, or swap the cables, before changing any limit"
+        if only_torque:
+            advice = f"check the wiring of drives and motors with `servo-gateway check --move`; then swap {ids}"
+        items.append(first.item("warn" if only_torque else "fail", None, what + " and ".join(reasons), advice))
+    return items
 
 
-def _reasons(pair: _Pair) -> list[str]:
-    """Return the evidence for a swap; empty if any evidence contradicts it."""
-    says = {name: evidence(pair) for name, evidence in _EVIDENCE.items()}
-    reasons = [name for name, value in says.items() if value]
-    if False in says.values():
-        return []
-    have_limits = all(software_range_rad(drive.axis, pair.arm, drive.readings) for drive in pair.as_stated)
-    return [] if reasons == [TORQUE] and have_limits else reasons
+def _all_agree(stated: Sequence[bool | None], exchanged: Sequence[bool | None]) -> bool | None:
+    """Return which order agrees; None where both or none do, or a drive has no value."""
+    return None if None in stated or all(stated) == all(exchanged) else all(exchanged)
 
 
-def _line(first: Axis, second: Axis, reasons: Sequence[str]) -> Finding:
-    joints = f"J{first.joint} and J{second.joint}"
-    ids = f"{first.config.node_id} and {second.config.node_id}"
-    what = f"the drives of {joints} look swapped (node ids or motor cables): each fits the other's axis by its "
-    only_torque = list(reasons) == [TORQUE]
-    advice = f"swap node ids {ids} in the cell file or in the drives, or swap the cables, before changing any limit"
-    if only_torque:
-        advice = f"check the wiring of drives and motors with `servo-gateway check --move`; then swap {ids}"
-    where = f"J{first.joint} node {first.config.node_id}"
-    return Finding("warn" if only_torque else "fail", where, what + " and ".join(reasons), advice)
-
-
-def _models(pair: _Pair) -> bool | None:
-    """Identity 0x1018 against the profiles."""
-    stated, exchanged = (
-        [not drive.identity.mismatches(drive.axis.profile) for drive in drives]
-        for drives in (pair.as_stated, pair.exchanged)
-    )
-    if all(stated) == all(exchanged):
-        return None
-    return all(exchanged)
-
-
-def _ranges(pair: _Pair) -> bool | None:
+def _ranges(arm: ArmConfig, stated: _Two, exchanged: _Two) -> bool | None:
     """Compare software limits 0x607D with the ranges of the cell."""
-    stated = [_range_off(pair.arm, drive) for drive in pair.as_stated]
-    exchanged = [_range_off(pair.arm, drive) for drive in pair.exchanged]
-    if None in stated or None in exchanged:
+    before, after = ([_range_off(arm, drive) for drive in two] for two in (stated, exchanged))
+    old, new = ([off for off in offs if off is not None] for offs in (before, after))
+    if len(old) + len(new) < 4:
         return None
-    if all(_belongs(off) for off in exchanged):
-        stops_short = any(off is not None and off[0] > ROUNDING for off in stated)
-        old, new = [_size(off) for off in stated], [_size(off) for off in exchanged]
-        clear = all(map(operator.gt, old, new)) and sum(old) > CLEARLY * sum(new)
-        return True if stops_short and clear else None
-    return False if all(_belongs(off) for off in stated) else None
+    belongs, fits = (all(short <= ROUNDING and far <= WIDER for short, far in offs) for offs in (old, new))
+    if fits:
+        sizes = [max(off) for off in old], [max(off) for off in new]
+        clear = all(map(operator.gt, *sizes)) and sum(sizes[0]) > CLEARLY * sum(sizes[1])
+        return True if clear and any(short > ROUNDING for short, _ in old) else None
+    return False if belongs else None
 
 
 def _range_off(arm: ArmConfig, drive: SeenDrive) -> tuple[float, float] | None:
@@ -159,28 +135,18 @@ def _range_off(arm: ArmConfig, drive: SeenDrive) -> tuple[float, float] | None:
     return max(0.0, *(-end for end in outside)) / (high - low), max(0.0, *outside) / (high - low)
 
 
-def _belongs(off: tuple[float, float] | None) -> bool:
-    return off is not None and off[0] <= ROUNDING and off[1] <= WIDER
-
-
-def _size(off: tuple[float, float] | None) -> float:
-    return math.nan if off is None else max(off)
-
-
-def _torques(pair: _Pair) -> bool | None:
+def _torques(stated: _Two, exchanged: _Two) -> bool | None:
     """Compare torque limits, from 0x6072 and 0x6076, with those of the cell.
 
     The product of both margins does not depend on the order; in the right order they are similar.
     """
-    stated = [_margin(drive) for drive in pair.as_stated]
-    exchanged = [_margin(drive) for drive in pair.exchanged]
-    apart, apart_exchanged = _apart(stated), _apart(exchanged)
-    if apart is None or apart_exchanged is None:
+    margins = [margin for drive in (*stated, *exchanged) if (margin := _margin(drive)) is not None]
+    if len(margins) < 4:
         return None
+    apart, apart_exchanged = (abs(math.log(margins[at] / margins[at + 1])) for at in (0, 2))
     limit = math.log(MARGINS_APART)
-    weak = any(margin is not None and margin < 1 for margin in stated)
-    strong = all(margin is not None and margin >= 1 for margin in exchanged)
-    if weak and strong and apart > limit and apart > CLEARLY * apart_exchanged:
+    is_swapped = min(margins[:2]) < 1 and min(margins[2:]) >= 1
+    if is_swapped and apart > limit and apart > CLEARLY * apart_exchanged:
         return True
     return False if apart_exchanged > limit and apart_exchanged > CLEARLY * apart else None
 
@@ -194,21 +160,8 @@ def _margin(drive: SeenDrive) -> float | None:
     return None if not limit_nm else limit_nm / drive.axis.config.torque_limit_nm
 
 
-def _apart(margins: Sequence[float | None]) -> float | None:
-    first, second = margins
-    return None if first is None or second is None else abs(math.log(first / second))
-
-
-def _gears(pair: _Pair) -> bool | None:
-    """Compare the gear ratios of the drives, 0x6091, with those of the cell."""
-    stated = [_same_gear(drive) for drive in pair.as_stated]
-    exchanged = [_same_gear(drive) for drive in pair.exchanged]
-    if None in stated or all(stated) == all(exchanged):
-        return None
-    return all(exchanged)
-
-
 def _same_gear(drive: SeenDrive) -> bool | None:
+    """Return whether the gear ratio of the drive, 0x6091, is that of the cell; None where it has none."""
     motor, shaft = (
         drive.readings.get(OBJECTS[name].address) for name in ("gear_motor_revolutions", "gear_shaft_revolutions")
     )
@@ -216,11 +169,3 @@ def _same_gear(drive: SeenDrive) -> bool | None:
         return None
     ratio = abs(drive.axis.config.gear_ratio.value)
     return abs(motor / shaft / ratio - 1.0) < SAME_GEAR
-
-
-_EVIDENCE: Final[dict[str, _Evidence]] = {
-    "model": _models,
-    "software limits": _ranges,
-    TORQUE: _torques,
-    "gear ratio": _gears,
-}

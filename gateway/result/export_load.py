@@ -11,7 +11,7 @@ from hashlib import sha256
 from typing import TYPE_CHECKING
 
 from drives.printable import one_line
-from drives.profile_parts import is_assumed
+from drives.profile import is_assumed
 from gateway.errors import ConfigError, DataUnusable
 from gateway.model.load_bounds import NO_ARM
 from gateway.result.inertia import Floats, has_a_body, tensor_of

@@ -1,19 +1,17 @@
-"""Two arms as one body with two branches on a fixed base, as PyBullet requires them."""
+"""Two arms as they really are, and as joints and links of the physics engine."""
 
 from __future__ import annotations
 
-import re
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.pair.geometry import ArmGeometry, turn
+from sim.engine import Engine
+from sim.pair.geometry import ArmGeometry
 from sim.pair.motors import DriveTrain
-from sim.physics import bullet
-from sim.urdf import SimBody, SimChain, write_chain
+from sim.plant import GRAVITY_M_S2
+from sim.urdf import SimBody, SimChain, turn
 
 Array = NDArray[np.float64]
 
@@ -53,30 +51,6 @@ def chain_of(arm: ArmTruth) -> SimChain:
     return SimChain("arm", np.array(placement), axis, arm.bodies, -free, free, free, free)
 
 
-def load_pair(arms: tuple[ArmTruth, ArmTruth], step_s: float) -> tuple[int, int]:
-    """Engine and body: both arms on one fixed base."""
-    client = bullet.connect(bullet.DIRECT)
-    bullet.setTimeStep(step_s, physicsClientId=client)
-    bullet.setGravity(0.0, 0.0, -9.80665, physicsClientId=client)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "pair.urdf"
-        path.write_text(_tree([write_chain(chain_of(arm)) for arm in arms]), encoding="utf-8")
-        flags = bullet.URDF_USE_INERTIA_FROM_FILE
-        body = bullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=client)
-    joints = range(sum(len(arm.bodies) for arm in arms))
-    for joint in (-1, *joints):
-        bullet.changeDynamics(body, joint, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=client)
-    still = [0.0] * len(joints)
-    bullet.setJointMotorControlArray(body, joints, bullet.VELOCITY_CONTROL, forces=still, physicsClientId=client)
-    return client, body
-
-
-def _tree(chains: list[str]) -> str:
-    """Two chains as two branches of one base link."""
-    lines = ['<?xml version="1.0"?>', '<robot name="pair">']
-    for number, text in enumerate(chains):
-        links = re.findall(r"  <link.*?</link>", text, re.DOTALL)
-        joints = re.findall(r"  <joint.*?</joint>", text, re.DOTALL)
-        lines += links[:1] if number == 0 else []
-        lines += [re.sub(r'"((?:link|joint)_\d)"', rf'"arm_{number}_\1"', part) for part in [*links[1:], *joints]]
-    return "\n".join([*lines, "</robot>"])
+def load_pair(arms: tuple[ArmTruth, ArmTruth], step_s: float) -> Engine:
+    """Both arms on one fixed base."""
+    return Engine([chain_of(arm) for arm in arms], (0.0, 0.0, -GRAVITY_M_S2), step_s)

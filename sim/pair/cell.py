@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sim.cellfile import ArmSpec, CellFileError, CellSpec
 from sim.pair.body import ArmTruth
 from sim.pair.gap import GapSensors, add_sensors
-from sim.pair.geometry import ArmGeometry, translation
+from sim.pair.geometry import ArmGeometry
 from sim.pair.light import LightWorld
 from sim.pair.motors import DriveTrain
 from sim.pair.pair_errors import (
@@ -29,7 +29,7 @@ from sim.pair.two_arms import TwoArms
 from sim.pair.unit import PairUnit
 from sim.pair.workpiece import Stiffness
 from sim.pair.world import PairWorld, WorldSettings
-from sim.urdf import SimBody, combine
+from sim.urdf import SimBody, combine, translation
 
 Array = NDArray[np.float64]
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import can
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.cellfile import pose_of
 from sim.measuring import FakeMeasuringDevice, MeasuringSite
-from sim.pair.geometry import turn
 from sim.pair.ranges import NOISE_M, Rig, ranges
 from sim.pair.two_arms import TwoArms
 from sim.pair.unit import PairUnit
@@ -20,13 +19,6 @@ Array = NDArray[np.float64]
 #: What the sensors can measure, as a multiple of the largest distance the cell allows.
 REACH = 1.5
 NOISE_SEED = 0xD157
-
-
-def _pose(xyz_m: Any, rpy_rad: Any) -> Array:
-    roll, pitch, yaw = (float(value) for value in rpy_rad)
-    pose = turn("z", yaw) @ turn("y", pitch) @ turn("x", roll)
-    pose[:3, 3] = xyz_m
-    return pose
 
 
 class GapSensors:
@@ -41,7 +33,7 @@ class GapSensors:
 
     def __init__(self, pair: Mapping[str, Any], world: TwoArms, seed: int) -> None:
         self._world, self._random = world, np.random.default_rng([NOISE_SEED, seed])
-        grasps = [_pose(pair[f"{role}_grasp_xyz_m"], pair[f"{role}_grasp_rpy_rad"]) for role in ("master", "slave")]
+        grasps = [pose_of(pair, f"{role}_grasp") for role in ("master", "slave")]
         #: Each hand in the other one: what a sensor on the master, on the slave looks at.
         one_in_two = np.linalg.inv(grasps[1]) @ grasps[0]
         self._wanted = (np.linalg.inv(one_in_two), one_in_two)
@@ -89,8 +81,4 @@ def add_sensors(pair: Mapping[str, Any], unit: PairUnit, sensors: GapSensors) ->
         lsb_m=float(table["lsb_m"]),
         range_m=(0.0, REACH * float(table["range_m"][1])),
     )
-
-    def send(message: can.Message) -> None:
-        unit.send(message)
-
-    unit.instruments.append(FakeMeasuringDevice(site, sensors.measured_m, send))
+    unit.instruments.append(FakeMeasuringDevice(site, sensors.measured_m, unit.put))

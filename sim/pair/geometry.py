@@ -34,25 +34,6 @@ class ArmGeometry:
     tool: Array
 
 
-def translation(x: float, y: float, z: float) -> Array:
-    """Pose (4, 4) moved by x, y, z [m]."""
-    result = np.eye(4)
-    result[:3, 3] = x, y, z
-    return result
-
-
-def turn(axis: str, angle_rad: Array | float) -> Array:
-    """Pose (..., 4, 4) turned about an axis of the frame, "x", "y" or "z", by an angle [rad]."""
-    angle = np.asarray(angle_rad, dtype=float)
-    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    result = np.zeros((*angle.shape, 4, 4))
-    result[..., range(4), range(4)] = 1.0
-    result[..., first, first] = result[..., second, second] = np.cos(angle)
-    result[..., second, first] = np.sin(angle)
-    result[..., first, second] = -np.sin(angle)
-    return result
-
-
 def frames(arm: ArmGeometry, q_rad: Array) -> Array:
     """Frames 1 to N (..., N, 4, 4) in the arm's own base [m]."""
     angle = np.asarray(q_rad, dtype=float) + arm.zero_rad

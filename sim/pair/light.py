@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from sim.pair.body import ArmTruth
 from sim.pair.motors import PairAxis
 from sim.pair.two_arms import TwoArms, WorldSettings
-from sim.physics import bullet
 from sim.servo import TICK_S
 
 Array = NDArray[np.float64]
@@ -56,7 +55,7 @@ class LightWorld(TwoArms):
         self._open = np.zeros(self.joints)
         self.friction = np.zeros(self.joints)
         self._need = self.motors.gear_nm.copy()
-        self._inertia = np.diag(self._mass(self.q)) + self._rotor
+        self._inertia = np.diag(self._engine.mass(self.q)) + self._rotor
 
     def _stretch(self, ticks: float) -> None:
         for act in self.before:
@@ -100,12 +99,12 @@ class LightWorld(TwoArms):
                 theta[i] += omega[i] * seconds
                 before = omega[i]
             asked[i] = omega[i] - before
+            axis.fastest_rad_s = max(axis.fastest_rad_s, abs(omega[i]))
         left = (self._open + asked) * math.exp(-seconds / SPEED_LOOP_S)
         self._acceleration, self._open = (self._open + asked - left) / seconds, left
         turned = np.array(theta) - motors.theta
         self.friction = np.clip(self.friction + turned / BREAKAWAY_RAD, -1.0, 1.0)
         motors.theta, motors.omega = np.array(theta), np.array(omega)
-        np.maximum(motors.fastest, np.abs(motors.omega), out=motors.fastest)
 
     def _follow(self, axis: PairAxis, theta: float, ticks: float, how: tuple[float, float]) -> tuple[float, float]:
         """Angle and speed of a rotor behind a reference that moves evenly; the exact solution of its lag."""
@@ -136,7 +135,8 @@ class LightWorld(TwoArms):
         motors.play = np.minimum(np.maximum(motors.play, motors.theta - self._half), motors.theta + self._half)
         free = motors.play + motors.cyclic(motors.theta)
         self.qd = motors.omega
-        tau = self._inverse_dynamics(free - motors.gear_nm / motors.train.stiffness_nm_rad)
+        links = free - motors.gear_nm / motors.train.stiffness_nm_rad
+        tau = self._engine.needed_nm(links, self.qd, self._acceleration)
         if self.push is not None:
             tau = tau - self.push
         gear, compliance = tau, 1.0 / motors.train.stiffness_nm_rad
@@ -152,13 +152,6 @@ class LightWorld(TwoArms):
         motors.gear_nm = gear
         self.q = free - gear * compliance
         self._report(ticks)
-
-    def _inverse_dynamics(self, q: Array) -> Array:
-        return np.array(
-            bullet.calculateInverseDynamics(
-                self._body, q.tolist(), self.qd.tolist(), self._acceleration.tolist(), physicsClientId=self._client
-            )
-        )
 
     def _report(self, ticks: float) -> None:
         """Torque that each motor gives, and whether it is all it has."""

@@ -83,35 +83,30 @@ class PairAxis:
     servo : loops
     """
 
-    __slots__ = ("fall_rad_s2", "fed", "free", "index", "motors", "omega_rad_s", "position_rad", "servo", "shift_rad")
+    __slots__ = (
+        "fall_rad_s2",
+        "fastest_rad_s",
+        "fed",
+        "free",
+        "index",
+        "motors",
+        "omega_rad_s",
+        "position_rad",
+        "servo",
+        "shift_rad",
+        "slip_rad_s",
+    )
 
     def __init__(self, motors: Motors, index: int, servo: ServoLoop, shift_rad: float) -> None:
         self.motors, self.index, self.servo, self.shift_rad = motors, index, servo, shift_rad
         self.free = self.fed = False
-        self.position_rad = self.omega_rad_s = self.fall_rad_s2 = 0.0
+        self.position_rad = self.omega_rad_s = 0.0
+        self.slip_rad_s = self.fall_rad_s2 = self.fastest_rad_s = 0.0
 
     @property
     def falls(self) -> bool:
         """See the class."""
         return self.fall_rad_s2 > 0.0 and bool(self.motors.fall[self.index])
-
-    @property
-    def slip_rad_s(self) -> float:
-        """See the class."""
-        return float(self.motors.slip[self.index])
-
-    @slip_rad_s.setter
-    def slip_rad_s(self, value: float) -> None:
-        self.motors.slip[self.index] = value
-
-    @property
-    def fastest_rad_s(self) -> float:
-        """See the class."""
-        return float(self.motors.fastest[self.index])
-
-    @fastest_rad_s.setter
-    def fastest_rad_s(self, value: float) -> None:
-        self.motors.fastest[self.index] = value
 
     def release(self) -> None:
         """Power the motor and open the brake; the reference is the present position, the gear's load is taken over."""
@@ -155,7 +150,6 @@ class Motors:
     shown_nm : (n,) motor torque behind the drive's filter
     gear_nm : (n,) torque of the gear spring on the link
     live : (n,) 1 = brake open
-    slip, fastest : (n,) as of `PairAxis`
     fall, fallen : (n,) acceleration and speed of axes that fall in their brakes
     """
 
@@ -164,7 +158,6 @@ class Motors:
         n = len(train.rotor_kg_m2)
         self.theta, self.omega, self.play = np.zeros(n), np.zeros(n), np.zeros(n)
         self.u_nm, self.shown_nm, self.gear_nm, self.live = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-        self.slip, self.fastest = np.zeros(n), np.zeros(n)
         self.fall, self.fallen = np.zeros(n), np.zeros(n)
         self._step_s = step_s
         self._rate = step_s / train.rotor_kg_m2
@@ -207,6 +200,7 @@ class Motors:
         positions, speeds = self.theta.tolist(), self.omega.tolist()
         torque = self.u_nm
         for i, axis in enumerate(self.axes):
+            axis.fastest_rad_s = max(axis.fastest_rad_s, abs(speeds[i]))
             if axis.fed:
                 servo = axis.servo
                 delay = delay_s[i] * servo.reference_step_rad / tick_s
@@ -216,8 +210,8 @@ class Motors:
                 self.fallen[i] = self.fallen[i] + self.fall[i] * tick_s if axis.falls else 0.0
         self.shown_nm += (torque - self.shown_nm) * filter_share
         self._cycle = self.cyclic(self.theta)
-        self._sink = (self.fallen - self.slip * np.sign(self.gear_nm)) * (1.0 - self.live)
-        np.maximum(self.fastest, np.abs(self.omega), out=self.fastest)
+        slip = np.array([axis.slip_rad_s for axis in self.axes])
+        self._sink = (self.fallen - slip * np.sign(self.gear_nm)) * (1.0 - self.live)
 
     def step(self, q_rad: Array, qd_rad_s: Array) -> Array:
         """One physics step of the rotors; returns the torque (n,) of the gear springs on the links [Nm]."""

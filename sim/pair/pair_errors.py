@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.pair.geometry import ArmGeometry, translation
+from sim.pair.geometry import ArmGeometry
+from sim.urdf import translation, turn_about
 
 Array = NDArray[np.float64]
 
@@ -125,9 +126,6 @@ def _draw_arm(rng: np.random.Generator, sheet: ArmSheet, lag_s: float) -> ArmErr
 def _small_pose(rng: np.random.Generator, position_m: float, angle_rad: float) -> Array:
     """Draw a small displacement (4, 4): translation, and an exact rotation about a random vector."""
     vector = rng.normal(0.0, angle_rad, 3)
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     result = translation(*rng.normal(0.0, position_m, 3))
-    result[:3, :3] = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+    result[:3, :3] = turn_about(vector)
     return result

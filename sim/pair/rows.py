@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.cellfile import ArmSpec
-from sim.pair.geometry import ArmGeometry, translation, turn
-from sim.urdf import SimBody, moved, rpy_of
+from sim.pair.geometry import ArmGeometry
+from sim.urdf import SimBody, moved, rpy_of, translation, turn
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from sim.pair.body import ArmTruth, load_pair
 from sim.pair.motors import Motors, joined
 from sim.pair.workpiece import Closure, Stiffness, Workpiece
-from sim.physics import bullet
 from sim.servo import TICK_S
 
 Array = NDArray[np.float64]
@@ -105,7 +104,7 @@ class TwoArms(ABC):
         self._lock = threading.Condition()
         self._asked, self._owed, self._live = [0.0, 0.0], [0.0, 0.0], [False, False]
         self._random = np.random.default_rng(settings.seed)
-        self._client, self._body = load_pair(arms, settings.step_s)
+        self._engine = load_pair(arms, settings.step_s)
         shift = np.concatenate([arm.shift_rad for arm in arms])
         limits = np.concatenate([arm.max_rad_s for arm in arms])
         self.motors = Motors(joined((arms[0].train, arms[1].train)), shift, limits, settings.step_s)
@@ -115,23 +114,14 @@ class TwoArms(ABC):
 
     def _stand(self, theta_rad: Array) -> None:
         """Place the arms at rest, gears wound up by gravity, the part gripped free of force."""
-        q, gravity = theta_rad.copy(), np.zeros_like(theta_rad)
+        q, gravity, still = theta_rad.copy(), np.zeros_like(theta_rad), np.zeros_like(theta_rad)
         stiffness = self.motors.train.stiffness_nm_rad
         for _ in range(20):
-            gravity = self._gravity(q)
+            gravity = self._engine.needed_nm(q, still, still)
             q = theta_rad - gravity / stiffness
-        self.q, self.qd = q, np.zeros_like(q)
+        self.q, self.qd = q, still
         self.motors.place(q, gravity)
         self.part.grip(q)
-
-    def _gravity(self, q: Array) -> Array:
-        still = [0.0] * self.joints
-        return np.array(
-            bullet.calculateInverseDynamics(self._body, q.tolist(), still, still, physicsClientId=self._client)
-        )
-
-    def _mass(self, q: Array) -> Array:
-        return np.array(bullet.calculateMassMatrix(self._body, q.tolist(), physicsClientId=self._client))
 
     @abstractmethod
     def _stretch(self, ticks: float) -> None:
@@ -247,17 +237,16 @@ class TwoArms(ABC):
     @property
     def fastest_rad_s(self) -> Array:
         """Largest speed of each motor at its gear output since `forget_fastest`, shape (J,) [rad/s]."""
-        return self.motors.fastest.copy()
+        return np.array([axis.fastest_rad_s for axis in self.motors.axes])
 
     def forget_fastest(self) -> None:
         """Reset the largest speed."""
-        self.motors.fastest[:] = 0.0
+        for axis in self.motors.axes:
+            axis.fastest_rad_s = 0.0
 
     def close(self) -> None:
         """Give the physics engine back; may be called again."""
-        if self._client >= 0:
-            bullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        self._engine.close()
 
 
 def _centre(closure: Closure) -> Array:

@@ -10,17 +10,12 @@ from numpy.typing import NDArray
 
 from sim.pair.body import ArmTruth
 from sim.pair.two_arms import TwoArms, WorldSettings
-from sim.physics import bullet
 from sim.servo import TICK_S
 
 Array = NDArray[np.float64]
 
 #: Largest modulus of a mode of the linearised step.
 STABLE = 1.0 + 1e-6
-
-
-class UnstableStepError(ValueError):
-    """The step is too long for the stiffest mode."""
 
 
 class PairWorld(TwoArms):
@@ -40,7 +35,7 @@ class PairWorld(TwoArms):
         self.radius = self._largest_mode()
         if self.radius > STABLE:
             self.close()
-            raise UnstableStepError(
+            raise ValueError(
                 f"the physics step of {settings.step_s * 1e3:g} ms is too long: its fastest mode grows by"
                 f" {self.radius:.4f} a step; take a shorter one or a softer workpiece"
             )
@@ -50,16 +45,15 @@ class PairWorld(TwoArms):
     def _stand(self, theta_rad: Array) -> None:
         super()._stand(theta_rad)
         q = self.q
-        for joint in range(self.joints):
-            bullet.resetJointState(self._body, joint, float(q[joint]), 0.0, physicsClientId=self._client)
+        self._engine.place(q, self.qd)
         closure = self.part.at(q)
-        self.part.size_damping(closure.jacobian @ np.linalg.solve(self._mass(q), closure.jacobian.T))
+        self.part.size_damping(closure.jacobian @ np.linalg.solve(self._engine.mass(q), closure.jacobian.T))
 
     def _largest_mode(self) -> float:
         """Largest modulus of the eigenvalues of one step, linearised at rest."""
         train, h, n = self.motors.train, self.settings.step_s, self.joints
         rate = self.part.at(self.q).jacobian
-        inverse = np.linalg.inv(self._mass(self.q))
+        inverse = np.linalg.inv(self._engine.mass(self.q))
         spring, damper = np.diag(train.stiffness_nm_rad), np.diag(train.damping_nm_s_rad)
         part_spring = rate.T @ (self.part.stiffness[:, None] * rate)
         part_damper = rate.T @ (self.part.damping[:, None] * rate)
@@ -92,8 +86,7 @@ class PairWorld(TwoArms):
 
     def _tick(self) -> None:
         """One millisecond."""
-        motors, part, body, client = self.motors, self.part, self._body, self._client
-        joints = range(self.joints)
+        motors, part = self.motors, self.part
         motors.control(self._delay_s, self._share, TICK_S)
         q, qd = self.q, self.qd
         closure = part.at(q)
@@ -104,16 +97,11 @@ class PairWorld(TwoArms):
             torque = motors.step(q, qd) + wrench @ rate
             if push is not None:
                 torque = torque + push
-            bullet.setJointMotorControlArray(
-                body, joints, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=client
-            )
-            bullet.stepSimulation(physicsClientId=client)
-            states = bullet.getJointStates(body, joints, physicsClientId=client)
-            q, qd = np.array([state[0] for state in states]), np.array([state[1] for state in states])
+            q, qd = (np.array(state) for state in self._engine.step(torque.tolist()))
         self.q, self.qd, self.wrench = q, qd, wrench
         self.time_s = round((self.time_s + TICK_S) / TICK_S) * TICK_S
         if self.recording:
             self._note(closure)
 
 
-__all__ = ["PairWorld", "UnstableStepError", "WorldSettings"]
+__all__ = ["PairWorld", "WorldSettings"]

@@ -518,7 +518,7 @@ def release(
         group.hold()
     test = group.release(axis, limit_rad, disables_voltage)
     try:
-        while test.released_syncs * group.timing.period_s < seconds and not test.beyond_limit:
+        while not test.beyond_limit and (test.released_syncs * group.timing.period_s < seconds or not test.is_watched):
             group.hold()
         while test.beyond_limit and not test.held:
             group.hold()

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drives.alignment import Alignment
 from drives.bus import Bus, BusSpec
 from drives.drive import DriveCommand
-from drives.epoch import Epoch
+from drives.epoch import Alignment, Epoch
 from drives.errors import DriveFault, IncompleteEpochs
 from drives.group import DriveGroup
 from drives.values import AxisSetup

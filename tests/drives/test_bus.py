@@ -278,16 +278,6 @@ def test_frames_without_end_do_not_block_the_reading_of_what_has_arrived(wire):
     assert wire.now_s - start < 0.06
 
 
-def test_the_network_of_canopen_sends_and_receives_through_the_bus(bus, make_slave):
-    slave = make_slave(5)
-    node = bus.network.add_node(5)
-    bus.network.nmt.send_command(1)
-    assert slave.nmt == 5
-    slave.emergency(bytes.fromhex("1023010000000000"))
-    bus.drain()
-    assert node.emcy.log[0].code == 0x2310
-
-
 @pytest.mark.parametrize(
     ("interface", "stamped"),
     [("socketcan", True), ("udp_multicast", True), ("virtual", True), ("pcan", False), ("slcan", False)],

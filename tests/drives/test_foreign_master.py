@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drives.discovery import scan
+from drives.discovery import FREE_S, refuse_foreign, scan
 from drives.errors import ForeignMaster
-from drives.foreign_master import FREE_S, refuse_foreign
 from drives.group import DriveGroup
 
 SYNC, START, UPLOAD, BEAT = (0x080, b""), (0x000, b"\x01\x00"), (0x603, bytes(8)), (0x77F, b"\x05")

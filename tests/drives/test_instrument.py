@@ -80,7 +80,7 @@ def test_a_reading_is_of_one_sync_or_there_is_none(ends: tuple[str, FakeMeasurin
         assert invalid is not None
         assert invalid.values == (pytest.approx(0.02), None, None)
 
-        instrument.close()
+        instrument.access.sdo.close()
 
 
 def test_what_is_mapped_is_what_the_device_sends(ends: tuple[str, FakeMeasuringDevice], setups) -> None:

@@ -35,7 +35,7 @@ class Rig:
         timing = Timing(0.01, pacing)  # type: ignore[arg-type]
         exchange = SimpleNamespace(drives=drives, timing=timing, unanswered=[0, 0], statuswords=[None, None])
         bus = SimpleNamespace(foreign={}, foreign_count=0, bus_off=False)
-        watch = SimpleNamespace(left=set(), booted=set(), lost=tuple, forgive=lambda: None)
+        watch = SimpleNamespace(contrary={}, booted=set(), lost=tuple, forgive=lambda: None)
         self.emcy = EmcyLog({})
         self.monitor = Monitor(bus, exchange, watch, self.emcy)  # type: ignore[arg-type]
         self.bits_in_a_row = DRIVE_RULES["internal_limit"].syncs(timing.period_s, pacing)

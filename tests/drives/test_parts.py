@@ -236,20 +236,21 @@ def test_a_boot_up_is_kept_until_it_is_forgiven(bus, wire):
 
 
 def test_the_masters_heartbeat_is_due_by_sync_time_or_by_the_clock(bus, wire):
-    producer = HeartbeatProducer(bus, 127, 0.4)
-    producer.tick(0.0)
+    sync_time_s = [0.0]
+    producer = HeartbeatProducer(bus, 127, 0.4, lambda: sync_time_s[0])
+    producer.tick()
     assert wire.sent == []
-    producer.start(0.0)
-    producer.tick(0.05)
-    assert wire.sent == [(0x77F, b"\x05")]
-    producer.tick(0.1)
-    assert len(wire.sent) == 2
+    producer.start()
+    for sync_time_s[0], beats in ((0.05, 1), (0.1, 2)):
+        producer.tick()
+        assert wire.sent == [(0x77F, b"\x05")] * beats
     wire.now_s += 0.101
-    producer.tick(0.1)
+    producer.tick()
     assert len(wire.sent) == 3
     producer.stop()
     wire.now_s += 1.0
-    producer.tick(9.0)
+    sync_time_s[0] = 9.0
+    producer.tick()
     assert len(wire.sent) == 3
 
 

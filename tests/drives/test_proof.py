@@ -112,7 +112,7 @@ def test_a_drive_that_leaves_later_than_it_said_is_not_in_time(group, slaves):
 
 
 def test_a_drive_that_still_moves_at_the_end_did_not_stand(group, slaves):
-    slaves[1].moves_in = {"quick stop": [500] * 400}
+    slaves[1].moves_in = {"quick stop": [500] * 260}
     traces = stop_responding(group, rows(slaves, 10))
     assert [trace.stood for trace in traces] == [True, False, True]
     assert {slave.state for slave in slaves} == {"switch on disabled"}
@@ -120,7 +120,7 @@ def test_a_drive_that_still_moves_at_the_end_did_not_stand(group, slaves):
 
 def test_a_drive_that_goes_on_at_the_speed_of_the_proof_did_not_stand(group, slaves):
     """A motor behind a low gear ratio turns by a tenth of what a braked one shakes between two SYNCs."""
-    slaves[1].moves_in = {"quick stop": [STEP] * 400}
+    slaves[1].moves_in = {"quick stop": [STEP] * 260}
     traces = stop_responding(group, rows(slaves, 10))
     assert [trace.stood for trace in traces] == [True, False, True]
 
@@ -199,9 +199,9 @@ def test_a_slow_drive_is_waited_for_as_long_as_its_profile_says(group, slaves, s
 
 
 def test_one_axis_is_watched_for_as_long_as_asked(group, slaves):
-    """What it does afterwards does not count; a slow drive is watched from when it has left. 0.1 s the brake closes."""
+    """What it does afterwards does not count; a slow drive is watched from when it has left, 0.3 s without voltage."""
     slow(slaves[1], 30)
-    slaves[1].moves_in = {"switched on": [0], "switch on disabled": [0] * 17 + [-5] + [-400] * 10}
+    slaves[1].moves_in = {"switched on": [0], "switch on disabled": [0] * 27 + [-5] + [-400] * 10}
     syncs = slaves[0].sync_seen
     brake_drop_rad = release(group, 1, 0.3).moved_rad
     assert 5 <= brake_drop_rad / COUNT_RAD + 1e-6 < 1000
@@ -233,6 +233,22 @@ def test_a_brake_that_fails_without_voltage_is_caught_from_there(group, slaves, 
     up = words[words.index(0x06, words.index(0x00)) :]
     assert up[:3] == [0x06, 0x07, 0x0F]
     assert 200 <= test.farthest_rad / COUNT_RAD <= 200 + 40 * (4 if not deaf else 16)
+
+
+def test_a_brake_counts_as_holding_only_without_voltage(group, slaves):
+    """The time asked for has passed before the voltage is off; the brake lets go 0.25 s after that."""
+    slaves[1].moves_in = {"switch on disabled": [0] * 25 + [40] * 30}
+    assert release(group, 1, 0.05, limit_rad=200 * COUNT_RAD).beyond_limit
+
+
+def test_a_drive_that_keeps_its_voltage_in_the_brake_test_is_named(group, slaves):
+    slaves[1].obeys = lambda word: word != 0x00
+    for _ in range(5):
+        group.hold()
+    group.release(1, math.inf, disables_voltage=True)
+    with pytest.raises(TransitionTimeout, match=r"node 2.*SWITCHED ON.*voltage"):
+        [group.hold() for _ in range(200)]
+    slaves[1].obeys = lambda word: True
 
 
 def test_an_axis_that_falls_is_held_again_once_its_drive_is_ready(group, slaves):

@@ -290,21 +290,20 @@ def test_a_transfer_from_a_frame_handler_is_refused_at_once(bus, sdo, wire):
 
 
 def test_a_question_is_open_until_its_own_answer_comes(bus, sdo, slave):
-    assert not sdo.asked
     delays = iter([0.05, 0.3])
     slave.reply = lambda request, answer: [(next(delays, 0.001), answer)]
-    sdo.ask()
+    first = sdo.ask()
     slave.wire.sleep(0.01)
-    sdo.ask()
+    second = sdo.ask()
     bus.listen(0.1)
-    assert sdo.asked
+    assert (first.answered, second.answered) == (True, False)
     bus.listen(0.3)
-    assert not sdo.asked
+    assert second.answered
     assert sdo.statistics.late == sdo.statistics.foreign == 0
     slave.refused[0x1001, 0] = 0x06020000
-    sdo.ask()
+    third = sdo.ask()
     bus.listen(0.01)
-    assert not sdo.asked
+    assert third.answered
 
 
 def test_latency_histogram_counts_every_answer(sdo, slave):
@@ -488,6 +487,6 @@ def test_a_lost_answer_to_the_question_whether_a_node_is_there_does_not_keep_lat
     lost = iter([[]])
     slave.reply = lambda request, answer: next(lost, [(0.001, answer)])
     for number in range(8):
-        sdo.ask()
+        question = sdo.ask()
         bus.listen(0.05)
-        assert sdo.asked == (number == 0)
+        assert question.answered == (number != 0)

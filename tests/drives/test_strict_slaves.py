@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from drives.bringup import set_interpolation_period
-from drives.discovery import nmt_states
+from drives.discovery import FREE_S, nmt_states
 from drives.errors import (
     ConfigurationRefused,
     DriveFault,
@@ -15,7 +15,6 @@ from drives.errors import (
     NodeMissing,
     NotOperational,
 )
-from drives.foreign_master import FREE_S
 from drives.group import DriveGroup
 from drives.heartbeat import NmtState
 from drives.profile_file import load_profile

@@ -36,7 +36,7 @@ PUBLIC = {
     "render": ["result"],
     "to_json": ["result"],
     "Drive": ["bus", "node_id"],
-    "KnownLoad": ["mass_kg", "com_m", "frame"],
+    "KnownLoad": ["mass_kg", "com_m", "frame", "mass_std_kg", "com_std_m"],
     "ModelRequest": [
         *("robot", "cell", "inertials", "known", "bare", "arm", "gain_std", "tip", "is_warm", "calibrated"),
     ],

@@ -41,7 +41,7 @@ OFFLINE = (
     "gateway.estimate",
     "gateway.diagnose",
     "gateway.acquire.planning",
-    "gateway.acquire.requested_poses",
+    "gateway.acquire.planning",
     "gateway.data.recording.reader",
     "gateway.formats.registry",
     "gateway.newcell.interview",

@@ -30,7 +30,7 @@ SAID = {
     ("gateway/commands/config.py", "nothing was written to the drives of"),
     ("gateway/jobs/frame.py", "By this command nothing has moved since the question"),
     ("gateway/check/moves.py", "small moves were stopped: "),
-    ("gateway/follow/fed_arm.py", "the arm was stopped"),
+    ("gateway/follow/path_run.py", "the arm was stopped"),
     ("gateway/pair/controller.py", "an epoch was incomplete or the arms were stopped"),
     # of a brake that was just measured
     ("gateway/check/brakes.py", " rad in its brake "),

@@ -15,14 +15,16 @@ import numpy as np
 import pytest
 
 from sim.cellfile import ArmSpec, read_cell
+from sim.engine import Engine
 from sim.fake_drive import FakeDrive
 from sim.nominal import plant_of
-from sim.pair.geometry import ArmGeometry, translation, turn
+from sim.pair.geometry import ArmGeometry
 from sim.pair.pair_errors import GEAR_STIFFNESS_NM_RAD, ArmSheet
 from sim.pair.two_arms import TwoArms
-from sim.physics import ArmWorld, bullet
+from sim.physics import ArmWorld
 from sim.plant import Plant
 from sim.serve import RunningSimulation, running
+from sim.urdf import translation, turn
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 Start = Callable[..., AbstractContextManager[tuple["Master", RunningSimulation]]]
@@ -221,13 +223,10 @@ def ideal(arm: ArmSpec, **fields: object) -> Plant:
     return replace(plain, **fields)
 
 
-def torques(loaded: tuple[int, int], q: np.ndarray, qd: np.ndarray | float = 0.0, qdd: np.ndarray | float = 0.0):
-    """Joint torques that a motion needs by PyBullet, whose engine (with its body in `loaded`) ends here."""
-    client, body = loaded
-    motion = [np.broadcast_to(each, q.shape).tolist() for each in (q, qd, qdd)]
-    needed = bullet.calculateInverseDynamics(body, *motion, physicsClientId=client)
-    bullet.disconnect(physicsClientId=client)
-    return np.array(needed)
+def torques(engine: Engine, q: np.ndarray, qd: np.ndarray | float = 0.0, qdd: np.ndarray | float = 0.0) -> np.ndarray:
+    """Joint torques that a motion needs by an engine, which ends here."""
+    with engine:
+        return engine.needed_nm(*(np.broadcast_to(each, q.shape) for each in (q, qd, qdd)))
 
 
 def reference_arms() -> tuple[ArmSheet, ArmSheet]:

@@ -380,7 +380,7 @@ def test_the_demo_starts_both_programs_without_waiting_for_the_clock(monkeypatch
             return "", ""
 
     monkeypatch.setattr("sim.demo.subprocess.Popen", Program)
-    monkeypatch.setattr("sim.demo.wait_until_ready", lambda _process: "ready")
+    monkeypatch.setattr("sim.serve.wait_until_ready", lambda _process: "ready")
     done = CliRunner().invoke(demo_command, ["--out", str(tmp_path)])
     assert done.exit_code == 1
     simulator, gateway = started
@@ -398,15 +398,15 @@ def test_the_examples_run_by_the_clock(cell):
 
 def test_the_demo_hides_what_its_own_file_says(monkeypatch):
     ran = []
-    monkeypatch.setattr("sim.demo.run", lambda demo: ran.append(demo) or 0)
+    monkeypatch.setattr("sim.demo.run", lambda _cell, _payload, *drawn: ran.append(drawn) or 0)
     runner = CliRunner()
     assert runner.invoke(demo_command, []).exit_code == 0
     assert runner.invoke(demo_command, ["--seed", "3"]).exit_code == 0
     assert runner.invoke(demo_command, ["--seed", "3", "--undeclared", str(SMALL)]).exit_code == 2
-    hidden, drawn = ran
-    (effect,) = tomllib.loads(hidden.undeclared.read_text(encoding="utf-8"))["effect"]
-    assert (effect["name"], effect["joints"], hidden.seed) == ("balancer_spring", [2], None)
-    assert (drawn.undeclared, drawn.seed) == (None, 3)
+    (hidden, no_seed, _out), (undeclared, seed, _out) = ran
+    (effect,) = tomllib.loads(hidden.read_text(encoding="utf-8"))["effect"]
+    assert (effect["name"], effect["joints"], no_seed) == ("balancer_spring", [2], None)
+    assert (undeclared, seed) == (None, 3)
 
 
 def test_help_is_given_by_the_short_option_too():

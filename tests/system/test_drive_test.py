@@ -135,7 +135,7 @@ def test_a_failed_proof_ends_the_test_also_of_a_drive_that_is_not_tested(tested,
 @pytest.mark.clock
 def test_answers_of_disabled_drives_are_findings_of_the_drive_and_nothing_moves_without_a_reaction(tested, monkeypatch):
     """In real time, once more where this computer did not keep its time; whether it does has a test of its own."""
-    monkeypatch.setattr(machine, "measure_lateness", lambda period_s, timer=None: [0.0])
+    monkeypatch.setattr(machine, "measure_lateness", lambda *_: [0.0])
     missed, reaction = "Missed TPDOs at 10 ms", "Controlword to reaction"
     expected = {"J2": [reaction.lower()], "J3": [reaction], "J4": [missed], "J5": []}
 

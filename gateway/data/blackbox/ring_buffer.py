@@ -2,6 +2,8 @@
 
 If the run fails, or the program ends without a final message, the parts become the black box; after a normal end they
 are deleted. What is left after the process that stores them was killed too is recovered by the next run.
+
+Black boxes of runs without recording are named by time, and the newest ones are kept (`place_in`).
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from collections import deque
 from collections.abc import Generator, Iterable
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -28,6 +31,8 @@ HEADER: Final = "header"
 #: Reasons of a black box whose run gave none.
 KILLED: Final = "the program that moved the arm was killed or ended without a final message: data until then"
 BOTH_KILLED: Final = "the program that moved the arm and its recorder process were killed: data until then"
+#: Boxes of one arm that stay: each holds half a minute, some megabytes.
+MOST_BOXES: Final = 10
 
 
 def folder_of(recording: Path) -> Path:
@@ -194,3 +199,30 @@ def remove(folder: Path) -> None:
 
 def _files(folder: Path) -> Iterable[Path]:
     return sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else ()
+
+
+def place_in(folder: Path, kind: str, now: datetime) -> Path:
+    """Return the path of the next black box; recover the parts of a killed program and delete the oldest boxes.
+
+    Parameters
+    ----------
+    folder : Path
+    kind : str
+        Name prefix of the boxes: cell and arm.
+    now : datetime
+        Wall clock, with its zone.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be written.
+    """
+    name = "".join(part if part.isalnum() or part in "-_" else "_" for part in kind)
+    folder.mkdir(parents=True, exist_ok=True)
+    for left in folder.glob(f".{name}.*Z.blackbox"):
+        recover_box(recording_of(left))
+    boxes = sorted(folder.glob(f"{name}.*Z{BOX_SUFFIX}"))
+    for old in boxes[: max(0, len(boxes) - MOST_BOXES + 1)]:
+        old.unlink(missing_ok=True)
+        old.with_suffix(".blf").unlink(missing_ok=True)
+    return folder / f"{name}.{now:%Y%m%dT%H%M%S}Z{BOX_SUFFIX}"

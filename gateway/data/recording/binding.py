@@ -13,13 +13,11 @@ from typing import Any
 import numpy as np
 
 from drives.errors import ProfileError
-from drives.profile import DriveProfile
-from drives.profile_file import parse_profile
 from drives.scaling import Constants, motor_scale
 from gateway.cell.config import ArmConfig, AxisConfig, Cell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.period import Measured
-from gateway.data.recording.recorded import ArmRecording, Recording, arm_config
+from gateway.data.recording.recorded import Recording, arm_config, parsed_profiles
 from gateway.errors import InputError
 
 
@@ -48,22 +46,8 @@ class Correction:
         return f"J{self.joint} {self.what}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Bound:
-    """Recording of one arm, converted with the constants of one cell.
-
-    Attributes
-    ----------
-    recording : with that arm alone, under that cell
-    corrections : constants that differ from those of the recording
-    """
-
-    recording: Recording
-    corrections: tuple[Correction, ...]
-
-
-def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
-    """Return the recording of an arm, converted with the constants of a cell.
+def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> tuple[Recording, tuple[Correction, ...]]:
+    """Return the recording of an arm, converted with the constants of a cell, and what was corrected.
 
     Parameters
     ----------
@@ -99,13 +83,24 @@ def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
     _refuse_wired_otherwise(recording, before, arm)
     corrections = tuple(_corrections(before, arm))
     if not corrections:
-        return Bound(replace(recording, arms=(part,), cell=cell), ())
-    scale = _torque_scale(recording, part, (before, arm), corrections)
+        return replace(recording, arms=(part,), cell=cell), ()
+    changed = [f"J{each.joint}" for each in corrections if each.name == "torque_constant_nm_per_a"]
+    if changed and not part.constants:
+        raise InputError(
+            f"{recording.path}: lacks the constants read from the drives, so the torque of"
+            f" {', '.join(changed)} cannot be recomputed with another torque constant; measure again"
+        )
+    scale = np.ones(len(arm.axis))
+    if part.constants:
+        was_nm, is_nm = (
+            torque_units(config, recording.profiles, part.constants, str(recording.path)) for config in (before, arm)
+        )
+        scale = is_nm / was_nm
     old, new = AxisConversion.from_arm(before), AxisConversion.from_arm(arm)
     visits = tuple(_converted(visit, scale, old, new) for visit in part.visits)
     periods = tuple(_converted(period, scale, old, new) for period in part.periods)
     bound = replace(part, visits=visits, periods=periods)
-    return Bound(replace(recording, arms=(bound,), cell=cell), corrections)
+    return replace(recording, arms=(bound,), cell=cell), corrections
 
 
 def _refuse_wired_otherwise(recording: Recording, before: ArmConfig, after: ArmConfig) -> None:
@@ -147,23 +142,6 @@ def _constants(axis: AxisConfig) -> dict[str, float]:
     }
 
 
-def _torque_scale(
-    recording: Recording, part: ArmRecording, arms: tuple[ArmConfig, ArmConfig], corrections: Sequence[Correction]
-) -> np.ndarray:
-    """Return the ratio (N,) of motor torques with the torque constants of the second and of the first arm."""
-    if not part.constants:
-        changed = [f"J{each.joint}" for each in corrections if each.name == "torque_constant_nm_per_a"]
-        if changed:
-            raise InputError(
-                f"{recording.path}: lacks the constants read from the drives, so the torque of"
-                f" {', '.join(changed)} cannot be recomputed with another torque constant; measure again"
-            )
-        return np.ones(len(arms[1].axis))
-    where = str(recording.path)
-    old, new = (torque_units(arm, recording.profiles, part.constants, where) for arm in arms)
-    return new / old
-
-
 def torque_units(
     config: ArmConfig, profiles: Mapping[str, Any], constants: Sequence[Constants], where: str
 ) -> np.ndarray:
@@ -184,20 +162,16 @@ def torque_units(
     InputError
         A profile is missing or cannot be used.
     """
-    units = []
-    parsed: dict[str, DriveProfile] = {}
-    for axis, read_from_drive in zip(config.axis, constants, strict=True):
-        text = profiles.get(axis.profile)
-        if not isinstance(text, str):
-            raise InputError(f"{where}: the file contains no profile '{axis.profile}'")
-        try:
-            if axis.profile not in parsed:
-                parsed[axis.profile] = parse_profile(text, axis.profile)
-            scale = motor_scale(parsed[axis.profile], read_from_drive, axis.torque_constant_nm_per_a.value)
-        except ProfileError as error:
-            raise InputError(f"{where}: {error}") from error
-        units.append(scale.torque_nm)
-    return np.array(units)
+    parsed = parsed_profiles(config, profiles, where)
+    try:
+        return np.array(
+            [
+                motor_scale(profile, read_from_drive, axis.torque_constant_nm_per_a.value).torque_nm
+                for axis, profile, read_from_drive in zip(config.axis, parsed, constants, strict=True)
+            ]
+        )
+    except ProfileError as error:
+        raise InputError(f"{where}: {error}") from error
 
 
 def _converted(visit: Measured, scale: np.ndarray, old: AxisConversion, new: AxisConversion) -> Measured:

@@ -1,20 +1,25 @@
-"""Content of a recording in memory, and the measured table computed from it."""
+"""Content of a recording in memory, and the measured table computed from it: visits at rest, periods in motion."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drives.errors import ProfileError
+from drives.profile import DriveProfile
+from drives.profile_file import parse_profile
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, Cell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.period import Period, harmonics_of
-from gateway.data.recording.moving_rows import period_rows, torque_delay_s
+from gateway.data.periodic import CUTOFF_HZ, by_harmonics, by_low_pass
+from gateway.data.periods import EXCITATION, MOTION_HZ, PERIOD, PHASE_S
 from gateway.data.rest_pose import RestPose
-from gateway.data.rows import Table, concatenate
+from gateway.data.rows import MOVING, Table, concatenate
 from gateway.data.visit import Visit
 from gateway.errors import InputError
 
@@ -171,7 +176,9 @@ class Recording:
             moving=np.zeros(n_rows, dtype=bool),
             direction=np.array([visit.direction for visit in visits], dtype=np.int8).reshape(shape),
             tau_nm=axes.joint_torque(motor),
-            tau_std_nm=np.array([_std(samples) for samples in joint]).reshape(shape),
+            tau_std_nm=np.array(
+                [samples.std(axis=0, ddof=1) if len(samples) > 1 else blank[0] for samples in joint]
+            ).reshape(shape),
             count=np.array([len(visit) for visit in visits], dtype=int),
             q2nd_rad=blank,
             temperature_c=np.array(
@@ -180,10 +187,6 @@ class Recording:
             motor_torque_nm=motor,
             extra={"x_validation": np.array([float(visit.purpose == "validation") for visit in visits])},
         )
-
-
-def _std(samples: np.ndarray) -> np.ndarray:
-    return samples.std(axis=0, ddof=1) if len(samples) > 1 else np.full(samples.shape[1], np.nan)
 
 
 def arm_config(cell: Cell, name: str, where: str) -> ArmConfig:
@@ -198,3 +201,85 @@ def arm_config(cell: Cell, name: str, where: str) -> ArmConfig:
         if arm.name == name:
             return arm
     raise InputError(f"{where}: contains visits of arm '{name}', which its cell file does not have")
+
+
+def torque_delay_s(config: ArmConfig, profiles: Mapping[str, str], where: str) -> float:
+    """Return the mean delay [s] of the drives' torque words behind their positions, as the profiles state it.
+
+    A first-order filter delays by its time constant. The estimation identifies the deviation of each axis from the
+    mean.
+
+    Raises
+    ------
+    InputError
+        A profile is missing or cannot be used.
+    """
+    return float(np.mean([profile.torque.filter_s for profile in parsed_profiles(config, profiles, where)]))
+
+
+def parsed_profiles(config: ArmConfig, profiles: Mapping[str, str], where: str) -> list[DriveProfile]:
+    """Return the profile of each axis, from texts by name.
+
+    Raises
+    ------
+    InputError
+        A profile is missing or cannot be used.
+    """
+    parsed: dict[str, DriveProfile] = {}
+    for name in dict.fromkeys(axis.profile for axis in config.axis):
+        text = profiles.get(name)
+        if not isinstance(text, str):
+            raise InputError(f"{where}: the file contains no profile '{name}'")
+        try:
+            parsed[name] = parse_profile(text, name)
+        except ProfileError as error:
+            raise InputError(f"{where}: {error}") from error
+    return [parsed[axis.profile] for axis in config.axis]
+
+
+def period_rows(period: Period, tau_nm: np.ndarray, path: Path, harmonics: int, delay_s: float) -> Table:
+    """Return the samples of a complete period.
+
+    Parameters
+    ----------
+    period : Period
+    tau_nm : array of shape (n, N)
+        Joint torque as measured, efficiency not applied.
+    path : Path
+        Of the recording.
+    harmonics : int
+        Number of commanded harmonics; 0 if the excitation is not a Fourier series.
+    delay_s : float
+        Delay of the torques.
+    """
+    n = len(period)
+    if period.kind == "series":
+        motion = by_harmonics(period.q_rad, period.period_s, harmonics, delay_s)
+    else:
+        motion = by_low_pass(period.q_rad, period.period_s, delay_s)
+    blank = np.full(period.q_rad.shape, np.nan)
+    return Table(
+        file=(str(path),) * n,
+        line=np.full(n, period.number),
+        run=np.array([f"{path.stem}/{period.number:04d}"] * n),
+        load=np.array([period.load] * n),
+        pose=np.full(n, MOVING),
+        time_s=period.time_s,
+        q_rad=motion.q_rad,
+        qd_rad_s=motion.qd_rad_s,
+        qdd_rad_s2=motion.qdd_rad_s2,
+        moving=np.ones(n, dtype=bool),
+        direction=np.zeros(period.q_rad.shape, dtype=np.int8),
+        tau_nm=tau_nm,
+        tau_std_nm=blank,
+        count=np.ones(n, dtype=int),
+        q2nd_rad=blank,
+        temperature_c=blank if period.temperature_c is None else np.tile(period.temperature_c, (n, 1)),
+        motor_torque_nm=period.motor_torque_nm,
+        extra={
+            EXCITATION: np.full(n, float(period.motion)),
+            PERIOD: np.full(n, float(period.period)),
+            PHASE_S: np.arange(n) * (period.period_s / n),
+            MOTION_HZ: np.full(n, CUTOFF_HZ),
+        },
+    )

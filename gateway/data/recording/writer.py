@@ -1,11 +1,14 @@
 """Writer of a recording: after each visit or period the file is written under a temporary name, synced, renamed.
 
-The file is built in memory, so that the file on disk is always complete: the last version or the one before.
+The file is built in memory, so that the file on disk is always complete: the last version or the one before. A
+recording has one writer at a time: that of a killed run may still be active at the next run.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import time
 from collections.abc import Callable, Generator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -15,10 +18,10 @@ from typing import Any
 import h5py
 import numpy as np
 
+from drives.file_lock import lock_file
 from drives.files import replace_file
 from drives.scaling import Constants
 from gateway.data.period import Measured, Period
-from gateway.data.recording.lock import sole_writer
 from gateway.data.recording.reader import SCHEMA, Recording, read
 from gateway.data.recording.seal import sealed
 from gateway.data.rest_pose import RestPose
@@ -47,6 +50,7 @@ VALUES = {
     "joint_torque_nm": ("joint_torque_nm", "Nm, joint side, gear efficiency not applied"),
     "motor_current_a": ("motor_current_a", "A, of the kind the torque constant refers to"),
 }
+_LOOK_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,3 +337,51 @@ def _write_samples(group: h5py.Group, attributes: dict[str, Any], visit: Visit |
 
 def _dataset(group: h5py.Group, name: str, values: np.ndarray, unit: str) -> None:
     group.create_dataset(name, data=values).attrs["unit"] = unit
+
+
+@contextmanager
+def sole_writer(path: Path, patience_s: float) -> Generator[None]:
+    """Hold the lock of a recording; a lock file whose process has ended is ignored.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    patience_s : float
+        Time to wait for another writer to end.
+
+    Raises
+    ------
+    InputError
+        Another process still writes it, or the folder is not writable.
+    """
+    mark = path.with_name(path.name + ".lock")
+    until_s = time.monotonic() + patience_s
+    try:
+        while (descriptor := _taken(mark)) is None:
+            if time.monotonic() >= until_s:
+                raise InputError(f"{path}: another run is writing it; wait for its end, or choose another name")
+            time.sleep(_LOOK_S)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    try:
+        yield
+    finally:
+        mark.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _taken(mark: Path) -> int | None:
+    """Return the locked file; None if another process holds it or has just deleted it."""
+    descriptor = os.open(mark, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        lock_file(descriptor)
+        if os.path.samestat(os.fstat(descriptor), os.stat(mark)):
+            return descriptor
+    except (BlockingIOError, FileNotFoundError):
+        pass
+    except OSError:
+        os.close(descriptor)
+        raise
+    os.close(descriptor)
+    return None

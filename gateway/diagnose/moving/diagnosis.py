@@ -30,10 +30,9 @@ from gateway.diagnose.moving.select import left_over, weigh
 from gateway.diagnose.moving.splits import judging
 from gateway.diagnose.moving.state import MovingState, state_of
 from gateway.errors import DataUnusable
-from gateway.identify.knowledge import Knowledge
+from gateway.identify.knowledge import EXACT, Knowledge
 from gateway.identify.links import has_inertials
 from gateway.identify.prior_loads import BARE_LABEL, unknown_labels
-from gateway.identify.rest.problem import EXACT
 from gateway.model.effects import LIBRARY
 from gateway.model.motion import MovingRows
 from gateway.model.robot import Robot

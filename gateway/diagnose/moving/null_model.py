@@ -119,7 +119,7 @@ def null_model(motion: MovingRows, trust: float | None, knowledge: Knowledge) ->
     fitted = motion.load[~motion.held_out]
     unknown = unknown_labels(motion.load, knowledge.known)
     seen = [label for label in unknown if label in fitted]
-    lumped = trust is None and not knowledge.known and not (fitted == BARE_LABEL).any()
+    lumped = trust is None and not knowledge.stated_loads and not (fitted == BARE_LABEL).any()
     free = seen[1:] if lumped else seen
     nothing = {label: (0.0, 0.0, 0.0, 0.0) for label in unknown if label not in free}
     stated = replace(

@@ -59,7 +59,7 @@ from gateway.identify.load_estimate import REFUSED, refused_findings
 from gateway.identify.mass_change import mass_changes
 from gateway.identify.prior_loads import BARE_LABEL, require_postures
 from gateway.identify.rejected import RejectedTorques, rejected_torques
-from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects
+from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit, RestProblem, visit_loads
 from gateway.identify.rest.problem import build_problem, sides_unknown
 from gateway.identify.rest.rest_loads import loads_of, nuisance_results, spread_by_shape
@@ -235,7 +235,7 @@ class RestDiagnosis:
         likelier = not effects or settled.log_odds > search.log_odds(found.chosen, found.now.plain)
         if settled.conflict is not None and (likelier or settled.conflict.finding.check != "link_masses"):
             return replace(found, conflict=settled)
-        if not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
+        if not (likelier or settled.knowledge.stated_loads != self.knowledge.stated_loads):
             return found
         now = replace(found.now, problem=settled.problem, plain=settled.fit)
         other = self._knowing(settled.knowledge).searched(found.read, now, found.mistakes, found.gained)
@@ -255,7 +255,7 @@ class RestDiagnosis:
         noise = settled_noise(problem, plain)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
-        weighed = bool(self.knowledge.weighed) or self.knowledge.trust == 0.0
+        weighed = bool(self.knowledge.stated_loads) or self.knowledge.trust == 0.0
         drawn = np.where(np.isfinite(problem.link_std), problem.links, np.nan)
         setup = RestSetup(self.stated.gear_ratios(problem.axes), weighed, torque, drawn, self.robot)
         unknown = sides_unknown(problem.rows)
@@ -304,13 +304,17 @@ class RestDiagnosis:
         """Residuals and loads of the model without effects on the uncorrected data."""
         second = np.isfinite(found.search.problem.rows.wind_up_rad).any()
         if not (found.mistakes or second or sided):
-            return summary(judge.problem, decision.before, judge, self.robot)
+            return self._summary(judge.problem, decision.before, judge)
         table = found.read.table
         table = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         if sided:
             table = replace(table, direction=np.zeros_like(table.direction))
         problem = self.problem(table, found.read.rejected)
-        return summary(problem, fit_without_effects(problem), Judge(problem, None), self.robot)
+        return self._summary(problem, fit_without_effects(problem), Judge(problem, None))
+
+    def _summary(self, problem: RestProblem, fitted: Fit, judge: Judge) -> FitSummary:
+        """Residuals and loads of a fit without effects."""
+        return summary(problem, fitted, judge, loads_of(problem, with_place_effects(problem, fitted), self.robot))
 
     def _as_estimated(self, visits: Visits, settled: SettledKnowledge | None) -> Result:
         """Return the result of `estimate`, for the case that no effect is named."""
@@ -361,14 +365,14 @@ class RestDiagnosis:
             effects, verdict = [*effects, found.rival], "undecided"
         before = self._before(decision, judge, found, bool(by_direction))
         by_shape = spread_by_shape(decision.after, search.other_shapes(decision.after))
-        after = summary(problem, decision.after, judge, self.robot, by_shape)
         last_problem, last = problem, decision.after
         if held is not None and kind == "fresh" and not findings:
             # what the proof has confirmed is estimated from all visits, those of the proof included
             last_problem, last = held.problem, fit(held.problem, last.terms, last.noise, last)
-            after = replace(after, loads=loads_of(last_problem, last, self.robot, by_shape))
-            if decision.after is decision.before and not found.mistakes:
-                before = replace(before, loads=after.loads)
+        last = with_place_effects(last_problem, last)
+        after = summary(problem, decision.after, judge, loads_of(last_problem, last, self.robot, by_shape))
+        if last_problem is not problem and decision.after is decision.before and not found.mistakes:
+            before = replace(before, loads=after.loads)
         bare = None if found.mistakes else bare_of(last_problem, last, self.robot, self.stated)
         if not effects and not found.mistakes and decision.after is decision.before:
             judged, tested = (problem, settled) if held is None or kind != "fresh" else (held.problem, None)

@@ -20,7 +20,9 @@ from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.rest_outcome import LARGEST_ODDS, Judge, summary
 from gateway.diagnose.rest.search import Search
 from gateway.diagnose.rest.verdict import Decision, in_std, without_names
+from gateway.identify.rest.hypothesis_fit import with_place_effects
 from gateway.identify.rest.linear import Fit
+from gateway.identify.rest.rest_loads import loads_of
 from gateway.model.effect import RestSetup
 from gateway.model.formula import MECHANISMS, ON_ARM, Buffer, Knee, formula_terms, pieces
 from gateway.model.robot import Robot
@@ -117,7 +119,7 @@ def candidate_formula(formulas: Formulas, judge: Judge, robot: Robot) -> Candida
         p_value=max(float(np.exp(-gained)), float(np.finfo(float).tiny)),
         runner_up=formulas.text(near[0]) if near else None,
         odds=formulas.odds(best, near[0]) if near else LARGEST_ODDS,
-        after=summary(problem, best, judge, robot),
+        after=summary(problem, best, judge, loads_of(problem, with_place_effects(problem, best), robot)),
         predicted_nm=tuple((without - by_others)[shown].tolist()),
         residual_nm=tuple(without[shown].tolist()),
     )

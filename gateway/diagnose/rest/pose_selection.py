@@ -72,7 +72,7 @@ def questions(
     if expected < REST.telling:
         what = (
             "weigh the links"
-            if knowledge.known or knowledge.masses
+            if knowledge.stated_loads
             else "mount a load of known mass and measure it, or add an unloaded run"
         )
         return (NextMeasurement(what=what, tells_apart=names),)

@@ -246,13 +246,16 @@ def find_mistakes(
         for mistake in candidates(measured):
             if mistake.name not in allowed or any(set(mistake.joints) & set(old.joints) for old in found):
                 continue
-            tried.append(_tried(mistake, build((*found, mistake))))
+            changed = build((*found, mistake))
+            scale = -float(np.sum(np.isin(changed.axis + 1, mistake.joints))) * np.log(mistake.factor)
+            score, result = plain_score(changed, scale - mistake.handicap)
+            tried.append((score, mistake, changed, result))
         best = _most_likely(problem, plain, before + REST.mistake, tried)
         if best is None:
             break
-        gained += best.score - before
-        before, problem, plain = best.score, best.problem, best.fit
-        found.append(best.mistake)
+        score, mistake, problem, plain = best
+        gained, before = gained + score - before, score
+        found.append(mistake)
     return tuple(found), gained
 
 
@@ -266,32 +269,20 @@ def unseen_ratio(read: Unseen, plain: Fit, undone: Unseen, fitted: Fit) -> float
     return float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Trial:
-    """Data with one mistake corrected: evidence, rows and fit of the model without effects."""
-
-    score: float
-    mistake: Mistake
-    problem: RestProblem
-    fit: Fit
-
-
-def _tried(mistake: Mistake, changed: RestProblem) -> _Trial:
-    scale = -float(np.sum(np.isin(changed.axis + 1, mistake.joints))) * np.log(mistake.factor)
-    value, result = plain_score(changed, scale - mistake.handicap)
-    return _Trial(value, mistake, changed, result)
+#: Data with one mistake corrected: evidence, the mistake, rows and fit of the model without effects.
+_Trial = tuple[float, Mistake, RestProblem, Fit]
 
 
 def _most_likely(problem: RestProblem, plain: Fit, least: float, tried: list[_Trial]) -> _Trial | None:
     """Return the trial with the highest score of at least `least` that also improves left-out poses."""
-    for trial in sorted(tried, key=lambda each: -each.score):
-        if trial.score < least:
+    for score, mistake, changed, result in sorted(tried, key=lambda trial: -trial[0]):
+        if score < least:
             return None
-        if trial.mistake.handicap and links_far_from_cad(trial.problem, trial.fit):
+        if mistake.handicap and links_far_from_cad(changed, result):
             continue  # a factor on all axes leaves links as the CAD has them, one heavy link does not
-        ratio, upper = held_ratio(problem, plain, trial.problem, trial.fit)
+        ratio, upper = held_ratio(problem, plain, changed, result)
         # the gain of each axis also predicts a factor, far outside its prior: so a factor only must not be worse
-        limit = 2.0 * ratio**2 - upper**2 if trial.mistake.factor != 1.0 else upper**2
+        limit = 2.0 * ratio**2 - upper**2 if mistake.factor != 1.0 else upper**2
         if limit < 1.0:
-            return replace(trial, mistake=replace(trial.mistake, ratio=ratio))
+            return score, replace(mistake, ratio=ratio), changed, result
     return None

@@ -18,12 +18,10 @@ from gateway.diagnose.rest.search import Search
 from gateway.diagnose.rest.verdict import BY_EVIDENCE, Decision, noise_floor, strong, unseen_by_choice
 from gateway.identify.rest.hypothesis_fit import NOTHING, fit
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.rest_loads import loads_of
 from gateway.model.effects import MISTAKES
-from gateway.model.robot import Robot
 from gateway.model.term import Term
 from gateway.model.unnamed import UNNAMED
-from gateway.result.result import EffectResult, Evidence, Finding, FitSummary, Rejected
+from gateway.result.result import EffectResult, Evidence, Finding, FitSummary, LoadResult, Rejected
 
 Floats = NDArray[np.float64]
 #: Odds [-] beyond which a number means no more than certain.
@@ -84,12 +82,12 @@ class Judge:
         return self.leaves(after).over(self.leaves(before), axes, after.noise.std[self.group][:, None])
 
 
-def summary(problem: RestProblem, fit: Fit, judge: Judge, robot: Robot, by_shape: Floats | None = None) -> FitSummary:
-    """Residuals and loads of one fit; `by_shape` as in `loads_of`."""
+def summary(problem: RestProblem, fit: Fit, judge: Judge, loads: tuple[LoadResult, ...]) -> FitSummary:
+    """Residuals of one fit, with the loads that are reported of it."""
     return FitSummary(
         rms_nm=listed(Held.of_rows(fit.residual, problem.axis, problem.axes).rms_nm),
         holdout_rms_nm=listed(judge.leaves(fit).rms_nm),
-        loads=loads_of(problem, fit, robot, by_shape),
+        loads=loads,
     )
 
 

@@ -23,7 +23,7 @@ from gateway.identify.motion.friction import (
 )
 from gateway.identify.motion.prior import CHANGE, change_names, moving_prior
 from gateway.identify.nuisance import gain_stds
-from gateway.identify.prior_loads import LOAD_NAMES, LOAD_UNITS, unknown_labels
+from gateway.identify.prior_loads import LOAD_NAMES, LOAD_UNITS, refuse_absent, unknown_labels
 from gateway.identify.rest.gain_changes import occasions_of
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
@@ -232,6 +232,7 @@ def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledg
         A known load that is not in the data.
     """
     unknown = unknown_labels(moving.load, knowledge.known)
+    refuse_absent(moving.load, knowledge.weighed)
     known = {
         label: body_parameters(values[0], np.array(values[1:]), np.zeros((3, 3)))
         for label, values in knowledge.known.items()
@@ -263,6 +264,14 @@ def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledg
     gain_std = gain_stds(knowledge.gain_std, robot.axes)
     prior = moving_prior((mean[held], std[held]), len(names), nuisances, gain_std, knowledge.change)
     places = dict(zip(unknown, firsts[:-1].tolist(), strict=True))
+    for label in knowledge.weighed.keys() & places.keys():
+        rows_of_load, right = knowledge.weighed[label].rows()
+        around = (places[label], len(names) - places[label] - len(LOAD_NAMES))
+        prior = replace(
+            prior,
+            rows=np.vstack([prior.rows, np.pad(rows_of_load, ((0, 0), around))]),
+            right=np.append(prior.right, right),
+        )
     if "load_inertia" in motion.nuisances:
         for place in places.values():
             prior.std[place + 4 : place + 10] = _heaviest_kg(moving) * _GYRATION_M**2

@@ -18,7 +18,7 @@ from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING
 from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
 from gateway.identify.motion.prior import CHANGE
 from gateway.identify.motion.problem import Still
-from gateway.identify.rest.hypothesis_fit import fit_without_effects
+from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_nuisance import KINDS
@@ -48,7 +48,7 @@ def fitted_rest(visits: Visits, robot: Robot, knowledge: Knowledge) -> FittedRes
         Nothing was measured at rest.
     """
     problem = build_problem(robot, visits, knowledge.of_loads(visits.load))
-    return FittedRest(problem, fit_without_effects(problem))
+    return FittedRest(problem, with_place_effects(problem, fit_without_effects(problem)))
 
 
 def columns_beside(
@@ -133,9 +133,8 @@ def _eliminated(problem: RestProblem, fit: Fit, shared: Ints) -> tuple[Floats, F
 
     The gains and their changes are those with what all axes share: their prior is that of the moving rows.
     """
-    weight = 1.0 / fit.noise.std[problem.group]
-    design = fit.columns.dense * weight[:, None]
-    right = fit.residual * weight + design @ fit.common
+    design = fit.noise.whitened_columns(problem, fit.columns).dense
+    right = fit.noise.whitened(problem, fit.residual) + design @ fit.common
     others = np.setdiff1d(np.arange(problem.n_common), [*shared, *_common(problem)])
     held = np.isfinite(fit.prior_std[others])
     others = others[held | design[:, others].any(axis=0)]

@@ -29,6 +29,7 @@ from gateway.identify.rest.linear import (
     term_columns,
     with_terms,
 )
+from gateway.identify.rest.place_effects import PlaceEffects, likeliest_effects
 from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.identify.rest.start_noise import first_noise
 from gateway.identify.solve import Prior, solve
@@ -41,6 +42,8 @@ Bools = NDArray[np.bool_]
 _STEPS: Final = 6
 #: The same for the final fit without effects: gains and losses converge slowly at low noise.
 _STEPS_ALONE: Final = 12
+#: Estimates of the effects of places, each with one step of the other parameters.
+_STEPS_OF_PLACES: Final = 2
 #: Prior standard deviation of a nuisance parameter that an effect of the hypothesis replaces.
 NOTHING = 1e-9
 #: Factors by which stated standard deviations may be wrong together, and their prior probabilities: within a factor of
@@ -93,6 +96,36 @@ def fit_without_effects(problem: RestProblem) -> Fit:
     return fit(problem, (), first_noise(problem), steps=_STEPS_ALONE)
 
 
+def with_place_effects(problem: RestProblem, fitted: Fit) -> Fit:
+    """Fit again with what rows of one place share as effects of unknown size; as it is where no rows share a place.
+
+    The evidence of the result is not comparable with that of other fits.
+    """
+    ends = np.cumsum([len(values) for values in fitted.theta])[:-1]
+    spreads = np.split(fitted.prior_std[problem.n_common :], ends) if fitted.terms else []
+    noise = fitted.noise
+    effects = PlaceEffects.about(noise.start, noise.std)
+    for _ in range(_STEPS_OF_PLACES if problem.places.cells else 0):
+        at = _place(fitted)
+        effects = likeliest_effects(
+            problem.places,
+            design_at(problem, at, noise),
+            fitted.residual,
+            _prior(problem, at, spreads),
+            effects,
+            start=noise.start,
+            least=noise.least,
+            tolerance=TOLERANCE,
+        )
+        fitted = _linearised(problem, fitted, replace(noise, std=effects.std, effects=effects), spreads)
+    return fitted
+
+
+def _place(at: Place) -> Place:
+    """Parameter values alone, without what a fit holds beside them."""
+    return Place(at.terms, at.links, at.loads, at.band, at.nuisance, at.theta)
+
+
 def _begin(
     problem: RestProblem, terms: tuple[Term, ...], start: Fit | None, noise: Noise
 ) -> tuple[Place, list[Floats]]:
@@ -122,11 +155,11 @@ def _begin(
 def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[Floats]) -> Fit:
     """One Gauss-Newton step, with noise and evidence at the new point."""
     residual = about.residual if isinstance(about, Fit) else _left(problem, about)
-    about = Place(about.terms, about.links, about.loads, about.band, about.nuisance, about.theta)  # of a fit no more
+    about = _place(about)
     design = design_at(problem, about, noise)
     prior = _prior(problem, about, spreads)
-    weighed_by = noise.of_rows(problem)
-    solution = solve(design, residual, 1.0 / weighed_by, prior, TOLERANCE)
+    columns, target = noise.whitened_columns(problem, design), noise.whitened(problem, residual)
+    solution = solve(columns, target, np.ones(len(target)), prior, TOLERANCE)
     place = _moved(problem, about, solution.value)
     left = _left(problem, place)
     repeated = noise.repeated(problem)
@@ -147,11 +180,11 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
         theta=place.theta,
         problem=problem,
         about=about,
-        weighed_by=weighed_by,
+        weighed_by=noise,
         taken=taken,
         covariance=solution.covariance,
         residual=left,
-        noise=replace(noise, std=std, shared=noise.shared if noise.is_settled else shared_by_repeats(problem, left)),
+        noise=_estimated(problem, noise, std, left),
         evidence=mode - 0.5 * solution.log_determinant - log_spread,
         prior_std=prior.std,
         inverse=solution.basis.inverse,
@@ -164,18 +197,26 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     return found
 
 
+def _estimated(problem: RestProblem, noise: Noise, std: Floats, residual: Floats) -> Noise:
+    """Return the noise after a step; effects of places are estimated apart from the steps."""
+    if noise.effects is not None:
+        return noise
+    return replace(noise, std=std, shared=noise.shared if noise.is_settled else shared_by_repeats(problem, residual))
+
+
 def shared_by_repeats(problem: RestProblem, residual: Floats) -> Floats:
     """Return the share (3 N,) of the variance of residuals (rows,) that rows which repeat each other have in common.
 
-    The rest is the scatter between them, from all sets of repeats of a noise group; too few give no scatter.
+    The rest is the scatter between them, from all sets of repeats of a noise group. All is shared if they are too few.
     """
-    mean = np.bincount(problem.repeat, residual) / np.maximum(np.bincount(problem.repeat), 1)
-    apart = residual - mean[problem.repeat]
-    freedom = problem.by_group((problem.repeats - 1.0) / problem.repeats)
-    scatter = problem.by_group(apart**2) / np.maximum(freedom, 1.0)
-    complete = problem.by_group(residual**2) / np.maximum(problem.by_group(), 1.0)
-    known = np.where(freedom >= FEWEST_REPEATS, scatter, 0.0)
-    return np.clip(1.0 - known / np.maximum(complete, 1e-300), 0.0, 1.0)
+    shared = np.ones(3 * problem.axes)
+    for group, cells in problem.places.cells.items():
+        own = residual[cells.rows]
+        apart = own - (cells.means @ own / cells.root)[cells.cell]
+        freedom = len(own) - len(cells.root)
+        if freedom >= FEWEST_REPEATS:
+            shared[group] = np.clip(1.0 - (apart @ apart / freedom) / max(np.mean(own**2), 1e-300), 0.0, 1.0)
+    return shared
 
 
 def averaged_evidence(fitted: Fit, links_as_stated: bool = False) -> float:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.rest.place_effects import PlaceEffects, Places
 from gateway.identify.rest.rest_nuisance import COLD, KINDS, NUISANCE_KINDS, RestNuisance, nuisance_setting
 from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.identify.solve import Basis, ByGroup
@@ -25,7 +27,7 @@ _STEP = 1e-3
 _RECENT_BYTES = 32_000_000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RestProblem:
     """Rows, prior and noise groups that all hypotheses share.
 
@@ -42,9 +44,6 @@ class RestProblem:
     group : (rows,) noise group: axis + N * (0 half sum, 1 half difference, 2 one-sided)
     prior_rows, prior_target : (k, n_common), (k,) further knowledge: `prior_rows @ common = prior_target`, unit std
     nuisance : prior of the nuisance parameters
-    patterns : (n, N, E) what one unit of each change of gain adds at each visit
-    place : (n,) place of each visit: visits with equal joint angles have one, whatever their pose numbers
-    known_repeats : `repeat` and `repeats` once they are computed
     recent : columns of the fits that were used last
     """
 
@@ -61,39 +60,37 @@ class RestProblem:
     prior_rows: Floats
     prior_target: Floats
     nuisance: RestNuisance
-    patterns: Floats = field(init=False)
-    place: Ints = field(init=False)
-    known_repeats: tuple[Ints, Ints] | None = field(init=False, default=None)
     recent: _Recent = field(default_factory=lambda: _Recent())
 
-    def __post_init__(self) -> None:
-        """Compute the patterns and places of the visits."""
-        object.__setattr__(self, "patterns", self.nuisance.changes.patterns(self.rows))
-        object.__setattr__(self, "place", places_of(self.rows.q_rad))
+    @cached_property
+    def patterns(self) -> Floats:
+        """Contribution (n, N, E) of one unit of each change of gain at each visit."""
+        return self.nuisance.changes.patterns(self.rows)
 
-    @property
-    def repeat(self) -> Ints:
-        """Set (rows,) of half-sums of one place, load and side to which each row belongs."""
-        return self._repeats()[0]
+    @cached_property
+    def place(self) -> Ints:
+        """Place (n,) of each visit: visits with equal joint angles have one, whatever their pose numbers."""
+        return places_of(self.rows.q_rad)
 
-    @property
+    @cached_property
+    def places(self) -> Places:
+        """Rows that share a place, by noise group.
+
+        Half-differences share none: what a place adds to friction leaves the loads alone. Nor do one-sided visits from
+        opposite sides, since their friction differs as well.
+        """
+        load = np.unique(self.rows.load, return_inverse=True)[1].ravel()
+        kind, side = self.group // self.axes, self.rows.side[self.visit, self.axis].astype(int)
+        place = 3 * self.place[self.visit] + np.where(kind == 2, side, 0)
+        return Places.of(self.group, place, load[self.visit], kind == 1)
+
+    @cached_property
     def repeats(self) -> Ints:
-        """Number (rows,) of rows of that set."""
-        return self._repeats()[1]
-
-    def _repeats(self) -> tuple[Ints, Ints]:
-        if self.known_repeats is not None:
-            return self.known_repeats
-        rows = self.rows
-        side = rows.side[self.visit, self.axis].astype(int)
-        load = np.unique(rows.load, return_inverse=True)[1].ravel()
-        keys = np.stack([self.group, load[self.visit], self.place[self.visit], side], axis=1)
-        half = self.group // self.axes == 1  # what a place adds to friction leaves the loads alone
-        keys[half] = np.column_stack([-1 - np.arange(half.sum()), *np.zeros((3, half.sum()), dtype=int)])
-        _, repeat, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        found = repeat.ravel(), count[repeat.ravel()]
-        object.__setattr__(self, "known_repeats", found)
-        return found
+        """Number (rows,) of rows of the same place, load and side, that row included."""
+        out = np.ones(len(self.group), dtype=int)
+        for cells in self.places.cells.values():
+            out[cells.rows] = np.bincount(cells.cell)[cells.cell]
+        return out
 
     @property
     def rows(self) -> Visits:
@@ -186,7 +183,8 @@ class Noise:
 
     `shared` (3 N,) is the share of the variance that rows which repeat each other have in common: what the model lacks
     at that place does not average out. None = not known yet. `is_settled`: further fits keep it, so that their
-    likelihoods are comparable.
+    likelihoods are comparable. `effects` are the variances of what rows of one place share: of an answer, None while
+    statements are tested and effects are searched.
     """
 
     start: Floats
@@ -194,6 +192,7 @@ class Noise:
     least: Floats
     shared: Floats | None = None
     is_settled: bool = False
+    effects: PlaceEffects | None = None
 
     def repeated(self, problem: RestProblem) -> Floats:
         """Return the factor (rows,) on the variance of each row, with which n repeats weigh as much as their mean."""
@@ -201,9 +200,27 @@ class Noise:
             return np.ones(len(problem.group))
         return 1.0 + (problem.repeats - 1) * self.shared[problem.group]
 
+    def independent(self, problem: RestProblem) -> Floats:
+        """Return the number of independent rows (rows,) that each whitened row stands for."""
+        return np.ones(len(problem.group)) if self.effects is not None else 1.0 / self.repeated(problem)
+
     def of_rows(self, problem: RestProblem) -> Floats:
         """Return the standard deviation (rows,) by which each row is weighed."""
         return self.std[problem.group] * np.sqrt(self.repeated(problem))
+
+    def whitened(self, problem: RestProblem, values: Floats) -> Floats:
+        """Rows (rows, ...) mapped to independent ones with unit variance."""
+        if self.effects is not None:
+            return self.effects.whitened(problem.places, values)
+        return np.asarray((values.T / self.of_rows(problem)).T, dtype=float)
+
+    def whitened_columns(self, problem: RestProblem, columns: ByGroup) -> ByGroup:
+        """Columns mapped in the same way."""
+        if self.effects is not None:
+            return self.effects.whitened_columns(problem.places, columns)
+        std = self.of_rows(problem)
+        parts = tuple((rows, at, values / std[rows, None]) for rows, at, values in columns.parts)
+        return ByGroup(columns.count, columns.width, parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -244,7 +261,7 @@ class Fit(Place):
     ----------
     problem : what it was fitted to
     about : where the rows were linearised in the last step
-    weighed_by : (rows,) standard deviation of each row in that step
+    weighed_by : noise that weighed the rows in that step
     taken : (3 N,) sum of the leverages of each noise group: degrees of freedom that the fit has taken up
     covariance : of [links, loads, band, nuisance, theta]
     residual : (rows,) measured - modelled
@@ -259,7 +276,7 @@ class Fit(Place):
 
     problem: RestProblem
     about: Place
-    weighed_by: Floats
+    weighed_by: Noise
     taken: Floats
     covariance: Floats
     residual: Floats
@@ -289,8 +306,9 @@ class Fit(Place):
 
     @property
     def basis(self) -> Basis:
-        """Weighted columns in an orthonormal basis; leverages are its squares."""
-        return Basis(self.columns, 1.0 / self.weighed_by, self.inverse)
+        """Whitened columns in an orthonormal basis; leverages are its squares."""
+        columns = self.weighed_by.whitened_columns(self.problem, self.columns)
+        return Basis(columns, np.ones(columns.count), self.inverse)
 
 
 class _Recent:

@@ -38,39 +38,41 @@ class TriedPrior:
 class LinearisedFit:
     """Products of the columns of a fit by noise group; the cost of a prior does not depend on the number of rows.
 
+    Rows are whitened by the noise of the fit, which alternatives scale by a factor for each group.
+
     Attributes
     ----------
-    used : (groups,) noise groups that have rows
     gram : (groups, p + e, p + e), right : (groups, p + e), square : (groups,) products of columns and residual
     count : (groups,) rows
+    start, least : (groups,) start value of the noise, and what it does not fall below, over the noise of the fit
     """
 
     problem: RestProblem
     fit: Fit
-    used: NDArray[np.int_]
     gram: Floats
     right: Floats
     square: Floats
     count: Floats
+    start: Floats
+    least: Floats
 
     @staticmethod
     def of(problem: RestProblem, fit: Fit, further: Floats | None = None) -> LinearisedFit:
         """Linearise a fit; `further` (rows, e) are columns of parameters that are 0 in it."""
-        width, groups = fit.columns.width, 3 * problem.axes
-        columns = np.zeros((len(problem.target), 0)) if further is None else further
-        total = width + columns.shape[1]
-        gram, right = np.zeros((groups, total, total)), np.zeros((groups, total))
-        extra = np.arange(width, total)
-        once = 1.0 / np.sqrt(fit.noise.repeated(problem))
-        residual = fit.residual * once
-        for rows, own, values in fit.columns.parts:
+        noise, groups = fit.noise, 3 * problem.axes
+        columns = fit.columns if further is None else fit.columns.beside(further)
+        gram, right = np.zeros((groups, columns.width, columns.width)), np.zeros((groups, columns.width))
+        residual = noise.whitened(problem, fit.residual)
+        for rows, own, values in noise.whitened_columns(problem, columns).parts:
             group = int(problem.group[rows[0]])
-            own, values = np.append(own, extra), np.hstack([values, columns[rows]]) * once[rows, None]
             gram[group][np.ix_(own, own)] += values.T @ values
             right[group][own] += values.T @ residual[rows]
-        square, count = problem.by_group(residual**2), problem.by_group(once**2)
+        square, count = problem.by_group(residual**2), problem.by_group(noise.independent(problem))
         used = np.flatnonzero(count > 0)
-        return LinearisedFit(problem, fit, used, gram[used], right[used], square[used], count[used])
+        # what places add to the noise is estimated with the fit: its own value is where the noise begins
+        start, least = (each[used] / noise.std[used] for each in (noise.start, noise.least))
+        start = np.ones_like(start) if noise.effects else start
+        return LinearisedFit(problem, fit, gram[used], right[used], square[used], count[used], start, least)
 
     def tried(self, std: Floats, link_scale: float = 0.0, further_std: Floats | None = None) -> TriedPrior:
         """Solve with prior standard deviations (p,).
@@ -78,7 +80,7 @@ class LinearisedFit:
         `link_scale` is the standard deviation of a factor on all link masses: CAD without motors, or of another alloy.
         `further_std` (e,) is that of the further parameters; 0 = they are left out, as they all are where it is None.
         """
-        problem, fit, used = self.problem, self.fit, self.used
+        problem, fit = self.problem, self.fit
         width = len(std)
         more = np.zeros(self.gram.shape[1] - width) if further_std is None else further_std
         kept = np.append(np.arange(width), width + np.flatnonzero(more > 0))
@@ -94,9 +96,7 @@ class LinearisedFit:
         precision -= np.outer(tied, tied) / (1.0 + shared @ tied)
         rows = np.pad(problem.prior_rows, ((0, 0), (0, len(kept) - width)))
         known = problem.prior_target - problem.prior_rows @ fit.common
-        start, least = fit.noise.start[used], fit.noise.least[used]
-        noise = fit.noise.std[used]
-        steps = 0
+        noise, steps = np.ones(len(self.count)), 0
         while True:
             weight = noise**-2.0
             matrix = np.tensordot(weight, gram, 1) + precision + rows.T @ rows
@@ -110,7 +110,7 @@ class LinearisedFit:
             left = self.square - 2.0 * right @ step + np.einsum("i,gij,j->g", step, gram, step)
             taken = np.einsum("gij,ij->g", gram, inverse) * weight
             left = np.maximum(left, 0.0)
-            noise = noise_std(self.count, taken, left, start, least)
+            noise = noise_std(self.count, taken, left, self.start, self.least)
             steps += 1
             if steps == _NOISE_STEPS:
                 break
@@ -118,7 +118,7 @@ class LinearisedFit:
         short = known - rows @ step
         penalty = float(away @ precision @ away) + float(short @ short)
         log_det = float(np.sum(np.log(size)) + 2.0 * np.sum(np.log(scale)))
-        density = log_density(self.count, left, noise, start, penalty)
+        density = log_density(self.count, left, noise, self.start, penalty)
         return TriedPrior(density - 0.5 * log_det - log_spread, step[:width], inverse[:width, :width])
 
     def evidence(self, std: Floats, link_scale: float = 0.0) -> float:

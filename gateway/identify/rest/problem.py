@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
-from gateway.identify.knowledge import Knowledge
+from gateway.identify.knowledge import EXACT, Knowledge
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, gain_stds, losses, nuisance_prior
 from gateway.identify.prior_loads import bare_rows, load_vector, refuse_absent, stored_errors, unknown_labels
@@ -25,8 +25,6 @@ OPEN_MASS_KG = 1e3
 OPEN_MOMENT_KG_M = 1e3
 #: Standard deviation of a mass over that of an unknown link, above which the mass is not determined.
 OPEN_SHARE = 0.1
-#: Relative standard deviation [-] of links stated as exact: below the effect on any torque.
-EXACT = 1e-4
 #: Friction band of an axis that was approached from one side only, as a share of its torque.
 BAND_UNSEEN = 0.05
 #: The same where no approach direction is known: any part of the friction may be in the half-sum.
@@ -46,7 +44,7 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: Gai
     DataUnusable : no torque was measured
     """
     labels = tuple(sorted(unknown_labels(rows.load, knowledge.known)))
-    refuse_absent(rows.load, knowledge.masses)
+    refuse_absent(rows.load, knowledge.weighed)
     fixed = np.zeros((len(rows), 4))
     for name, known in knowledge.known.items():
         fixed[rows.load == name] = load_vector(known)
@@ -69,9 +67,10 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: Gai
         prior_rows[:, : 4 * rows.axes] = both[:, : 4 * rows.axes]
         prior_rows[:, gains : gains + 2 * rows.axes] = both[:, 4 * rows.axes :]
         prior_rows[:, gains + nuisance.common] = both[:, 4 * rows.axes :][:, : rows.axes] @ nuisance.changes.relative
-    weighed = np.zeros((len(knowledge.masses), count))
-    for row, (label, mass_kg) in zip(weighed, knowledge.masses.items(), strict=True):
-        row[4 * (rows.axes + labels.index(label))] = 1.0 / (EXACT * mass_kg)
+    for label, load in knowledge.weighed.items():
+        first, (own, right) = 4 * (rows.axes + labels.index(label)), load.rows()
+        prior_rows = np.vstack([prior_rows, np.pad(own, ((0, 0), (first, count - first - 4)))])
+        prior_target = np.append(prior_target, right)
     return RestProblem(
         model=Model(robot, rows, np.asarray(knowledge.gravity_m_s2, dtype=float)),
         links=links,
@@ -83,8 +82,8 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: Gai
         use_difference=use_difference,
         target=np.concatenate([rows.sum_nm[use_sum], rows.difference_nm[use_difference]]),
         group=np.concatenate([(axis + kind)[use_sum], axis[use_difference] + rows.axes]),
-        prior_rows=np.vstack([prior_rows, weighed]),
-        prior_target=np.append(prior_target, np.full(len(weighed), 1.0 / EXACT)),
+        prior_rows=prior_rows,
+        prior_target=prior_target,
         nuisance=nuisance,
     )
 

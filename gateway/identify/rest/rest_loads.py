@@ -162,8 +162,8 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
     direction = np.zeros(count)
     direction[mass] = 1.0
     return budget_of(
-        fit.columns,
-        1.0 / fit.noise.of_rows(problem),
+        fit.noise.whitened_columns(problem, fit.columns),
+        np.ones(len(problem.target)),
         Prior(np.zeros(count), fit.prior_std, further, np.zeros(len(further))),
         fit.covariance,
         direction,
@@ -233,10 +233,10 @@ def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:
     1.96 widened standard deviations contain 95 % although the noise is estimated: Student's t over the normal quantile.
     Its degrees of freedom are those of the noise of each axis, weighted by its share of the variance.
     """
-    freedom = problem.by_group(1.0 / fit.noise.repeated(problem)) - fit.taken
+    freedom = problem.by_group(fit.noise.independent(problem)) - fit.taken
     freedom = np.maximum(freedom, 0.0) + REST_MODEL.noise_weight
     reach = fit.covariance @ directions.T
-    by_row = (fit.columns.times(reach) / fit.noise.of_rows(problem)[:, None]) ** 2
+    by_row = fit.noise.whitened(problem, fit.columns.times(reach)) ** 2
     share = np.array([problem.by_group(column) for column in by_row.T])
     total = share.sum(axis=1)
     # if priors alone give the variance, the contribution of the rows is rounding
@@ -247,16 +247,13 @@ def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:
 
 def per_pose_mass(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:
     """Mass [kg] from each pose alone with all other parameters of the whole fit; informative poses only."""
-    part = problem.load_part(index)
-    std = fit.noise.of_rows(problem)
     phi = fit.loads[index]
-    mine = problem.member[problem.visit, index] > 0
-    poses, place = np.unique(problem.rows.pose[problem.visit[mine]], return_inverse=True)
+    poses, pose = np.unique(problem.rows.pose[problem.visit], return_inverse=True)
     load = np.zeros(len(fit.scale))
-    load[part] = phi
-    share = (fit.columns.times(load) / std)[mine]
-    weight = np.bincount(place, weights=share**2, minlength=len(poses))
-    away = np.bincount(place, weights=share * (fit.residual / std)[mine], minlength=len(poses))
+    load[problem.load_part(index)] = phi
+    share = fit.noise.whitened(problem, fit.columns.times(load))
+    weight = np.bincount(pose, weights=share**2, minlength=len(poses))
+    away = np.bincount(pose, weights=share * fit.noise.whitened(problem, fit.residual), minlength=len(poses))
     reported = weight > _INFORMATIVE * weight.max(initial=0.0)
     mass = phi[0] * (1.0 + away[reported] / weight[reported])
     return dict(zip([str(int(pose)) for pose in poses[reported]], mass.tolist(), strict=True))

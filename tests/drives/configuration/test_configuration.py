@@ -14,21 +14,14 @@ from canopen.objectdictionary import datatypes, import_od
 
 from drives.access import ObjectAccess
 from drives.configuration.applying import NodeWrites, planned_writes, questions, require_at_rest, write_all
-from drives.configuration.dcf import (
-    Commissioning,
-    ConfigurationFileError,
-    beyond_limits,
-    dcf_text,
-    read_data_sheet,
-    read_dcf,
-)
-from drives.configuration.difference import compare, differing
+from drives.configuration.dcf import beyond_limits, dcf_text, read_dcf
+from drives.configuration.difference import Readout, compare, differing, read_drive
 from drives.configuration.kinds import confirmation_reason, kind_of, mapped_objects, why_never_written
-from drives.configuration.object_reading import Readout, read_drive
+from drives.datasheet.building import read_sheet
 from drives.datasheet.object_values import decoded, encoded, ledger_value, understood, written
 from drives.datasheet.sheet import SheetObject
-from drives.errors import ConfigurationRefused, DriveFault, SdoAbort, SdoTimeout, SeveralFailures
-from drives.ledger import WriteLedger
+from drives.errors import ConfigurationRefused, DriveFault, ProfileError, SdoAbort, SdoTimeout, SeveralFailures
+from drives.ledger import KnownDevice, WriteLedger
 from drives.pdo import Step
 from drives.profile import DriveProfile
 from tests.drives.conftest import Slave
@@ -44,7 +37,7 @@ SupportedObjects=2
 2=0x2001
 
 """
-SITE = Commissioning(3, "cell main J3", 500_000, "a", 0x51)
+SITE = (KnownDevice(3, serial_number=0x51), "cell main J3", 500_000, "a")
 MOMENT = datetime(2024, 2, 3, 14, 5, tzinfo=UTC)
 
 VALUES = [
@@ -80,7 +73,7 @@ def test_a_value_of_every_type_comes_back_from_wire_file_and_an_independent_read
     sheet = tmp_path / "maker.eds"
     sheet.write_text(SHEET + objects((0x2000, kind, "DefaultValue="), (0x2001, datatypes.UNSIGNED8, "")))
     path = tmp_path / "3.dcf"
-    path.write_text(dcf_text(sheet, {(0x2000, 0): value}, SITE, MOMENT))
+    path.write_text(dcf_text(sheet, {(0x2000, 0): value}, MOMENT, *SITE))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         independent = import_od(str(path))
@@ -112,25 +105,25 @@ def test_an_array_in_short_form_has_every_element_in_the_file(tmp_path):
         + "[2000]\nParameterName=gain\nObjectType=0x8\nDataType=0x0006\nAccessType=rw\nDefaultValue=7\n"
         + "PDOMapping=0\nCompactSubObj=3\n\n[2000Name]\nNrOfEntries=1\n2=middle\n"
     )
-    found = read_data_sheet(sheet)
+    found = read_sheet(sheet)
     assert [found.entries[0x2000, sub].name for sub in range(4)] == ["Number of entries", "gain1", "middle", "gain3"]
     path = tmp_path / "3.dcf"
-    path.write_text(dcf_text(sheet, {(0x2000, sub): 10 * sub for sub in (1, 2, 3)}, SITE, MOMENT))
+    path.write_text(dcf_text(sheet, {(0x2000, sub): 10 * sub for sub in (1, 2, 3)}, MOMENT, *SITE))
     file = read_dcf(path, 3)
     assert file.values == {(0x2000, 1): 10, (0x2000, 2): 20, (0x2000, 3): 30}
     assert file.defaults[0x2000, 3] == 7
     path.write_text(path.read_text().replace("[2000sub3]", "[2001]"))
-    with pytest.raises(ConfigurationFileError, match="1 elements of 2000"):
+    with pytest.raises(ProfileError, match="1 elements of 2000"):
         read_dcf(path, 3)
 
 
 def test_a_file_with_several_faults_names_them_all(tmp_path):
     sheet = tmp_path / "3.dcf"
     lines = [(0x2000, datatypes.UNSIGNED8, "HighLimit=3"), (0x2001, datatypes.UNSIGNED8, "ParameterValue=nine")]
-    sheet.write_text(dcf_text(_written(tmp_path, lines), {(0x2000, 0): 4}, SITE, MOMENT))
+    sheet.write_text(dcf_text(_written(tmp_path, lines), {(0x2000, 0): 4}, MOMENT, *SITE))
     text = sheet.read_text().replace("[2001]\n", "[2001]\nParameterValue=nine\n")
     sheet.write_text(text)
-    with pytest.raises(ConfigurationFileError) as caught:
+    with pytest.raises(ProfileError) as caught:
         read_dcf(sheet, 3)
     assert len(caught.value.lines) == 2
     assert "2000:00: 4 is above its HighLimit 3" in str(caught.value)
@@ -201,9 +194,9 @@ def access(bus, slave, generic, ledger):
 def planned(access: ObjectAccess, profile: DriveProfile, tmp_path: Path, wanted: dict) -> NodeWrites:
     """Dump, change values, compare, plan."""
     assert profile.eds_path is not None
-    found = read_drive(access, read_data_sheet(profile.eds_path))
+    found = read_drive(access, read_sheet(profile.eds_path))
     path = tmp_path / "3.dcf"
-    path.write_text(dcf_text(profile.eds_path, found.of_kind("configuration", "fixed") | wanted, SITE, MOMENT))
+    path.write_text(dcf_text(profile.eds_path, found.of_kind("configuration", "fixed") | wanted, MOMENT, *SITE))
     file = read_dcf(path, 3)
     rows = compare(file, found)
     assert {row.address for row in differing(rows)} == set(wanted)
@@ -324,7 +317,7 @@ def test_every_obstacle_to_a_write_is_reported_before_it(access, generic, tmp_pa
     sheet = tmp_path / "maker.eds"
     sheet.write_text(text)
     path = tmp_path / "3.dcf"
-    path.write_text(dcf_text(sheet, {(0x2000, 0): 1, (0x1301, 0): 1}, SITE, MOMENT))
+    path.write_text(dcf_text(sheet, {(0x2000, 0): 1, (0x1301, 0): 1}, MOMENT, *SITE))
     file = read_dcf(path, 3)
     found = Readout(3, {(0x1301, 0): 0}, {}, {(0x2000, 0): "SDO abort 0x06020000, object does not exist"})
     with pytest.raises(SeveralFailures) as caught:
@@ -348,7 +341,7 @@ def test_identifiers_of_a_node_follow_the_node_that_the_file_is_given_to(tmp_pat
     sheet.write_text(SHEET + objects((0x2000, datatypes.UNSIGNED8, ""), (0x2001, datatypes.UNSIGNED8, "")) + PRODUCER)
     path = tmp_path / "3.dcf"
     for held, node_7 in ((0x183, 0x187), (0x4000_0183, 0x4000_0187), (0x295, 0x295)):
-        path.write_text(dcf_text(sheet, {(0x1800, 1): held}, SITE, MOMENT))
+        path.write_text(dcf_text(sheet, {(0x1800, 1): held}, MOMENT, *SITE))
         assert read_dcf(path, 3).values == {(0x1800, 1): held}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -356,7 +349,7 @@ def test_identifiers_of_a_node_follow_the_node_that_the_file_is_given_to(tmp_pat
         other = tmp_path / "7.dcf"
         other.write_text(path.read_text().replace("NodeID=3", "NodeID=7"))
         assert read_dcf(other, 7).values == {(0x1800, 1): node_7}
-    with pytest.raises(ConfigurationFileError, match="it is of node 7, not of node 3") as caught:
+    with pytest.raises(ProfileError, match="it is of node 7, not of node 3") as caught:
         read_dcf(other, 3)
     assert "$NODEID" in str(caught.value)
 
@@ -391,18 +384,18 @@ def test_a_value_is_read_wherever_a_file_may_have_it(tmp_path, text, address, si
 def test_a_file_without_values_is_refused(tmp_path):
     path = tmp_path / "3.dcf"
     path.write_text(objects((0x2000, datatypes.UNSIGNED8, "")) + "[DeviceComissioning]\nNodeID=3\n")
-    with pytest.raises(ConfigurationFileError, match="nothing to compare"):
+    with pytest.raises(ProfileError, match="nothing to compare"):
         read_dcf(path, 3)
 
 
 def test_two_values_of_one_object_are_refused_and_not_chosen_from(tmp_path):
     path = tmp_path / "3.dcf"
     path.write_text(VALUED.replace("=9", "=9\nPARAMETERVALUE=8") + "[DeviceComissioning]\nNodeID=3\n")
-    with pytest.raises(ConfigurationFileError, match="neither is used"):
+    with pytest.raises(ProfileError, match="neither is used"):
         read_dcf(path, 3)
     own = "[608Fsub2]\nDataType=7\nAccessType=rw\nParameterValue=8\n"
     path.write_text(f"{IN_A_LIST}{own}[DeviceComissioning]\nNodeID=3\n")
-    with pytest.raises(ConfigurationFileError, match="608F:2 has the value '8'"):
+    with pytest.raises(ProfileError, match="608F:2 has the value '8'"):
         read_dcf(path, 3)
 
 
@@ -419,10 +412,10 @@ def test_what_the_makers_sheet_lacks_is_not_missed_in_the_file_that_was_dumped_f
     """The sheet lists an object and counts elements that it does not have; what is lost later is missed."""
     sheet, path = tmp_path / "maker.eds", tmp_path / "3.dcf"
     sheet.write_text(FAULTY)
-    path.write_text(dcf_text(sheet, {(0x2000, 0): 2, (0x2022, 1): 5}, SITE, MOMENT))
+    path.write_text(dcf_text(sheet, {(0x2000, 0): 2, (0x2022, 1): 5}, MOMENT, *SITE))
     assert read_dcf(path, 3).values == {(0x2000, 0): 2, (0x2022, 1): 5}
     path.write_text(path.read_text().replace("[2022sub1]", "[2023]"))
-    with pytest.raises(ConfigurationFileError, match="1 elements of 2022"):
+    with pytest.raises(ProfileError, match="1 elements of 2022"):
         read_dcf(path, 3)
     path.write_text(FAULTY.replace("PDOMapping", "ParameterValue=2\nPDOMapping") + "[DeviceComissioning]\nNodeID=3\n")
     assert read_dcf(path, 3).values == {(0x2000, 0): 2}, "another tool writes what the maker's sheet lacks"
@@ -431,9 +424,9 @@ def test_what_the_makers_sheet_lacks_is_not_missed_in_the_file_that_was_dumped_f
 def test_a_limit_that_the_drive_does_not_keep_is_a_comment_of_the_file(tmp_path):
     sheet, path = tmp_path / "maker.eds", tmp_path / "3.dcf"
     sheet.write_text(FAULTY)
-    beyond = beyond_limits(read_data_sheet(sheet), {(0x2000, 0): 4}, 3)
+    beyond = beyond_limits(read_sheet(sheet), {(0x2000, 0): 4}, 3)
     assert [what for _, _, what in beyond] == ["2000:00: 4 is above its HighLimit 3"]
-    path.write_text(dcf_text(sheet, {(0x2000, 0): 4}, SITE, MOMENT, beyond))
+    path.write_text(dcf_text(sheet, {(0x2000, 0): 4}, MOMENT, *SITE, beyond))
     assert ";HighLimit=3" in path.read_text()
     assert read_dcf(path, 3).values == {(0x2000, 0): 4}
 
@@ -489,10 +482,10 @@ def test_what_takes_a_drive_off_the_bus_needs_a_question_of_its_own(index, name,
 def test_what_is_left_out_is_not_written_with_its_record_either(access, slave, generic, tmp_path):
     """The mapping of a PDO is written whole, with its identifier: the drive's own, where the file's was left out."""
     slave.values[0x1800, 1] = 0x4000_0183
-    found = read_drive(access, read_data_sheet(generic.eds_path))
+    found = read_drive(access, read_sheet(generic.eds_path))
     path = tmp_path / "3.dcf"
     wanted = {(0x1A00, 0): 1, (0x1A00, 1): 0x60640020, (0x1800, 1): 0x185}
-    path.write_text(dcf_text(generic.eds_path, found.of_kind("configuration", "fixed") | wanted, SITE, MOMENT))
+    path.write_text(dcf_text(generic.eds_path, found.of_kind("configuration", "fixed") | wanted, MOMENT, *SITE))
     file = read_dcf(path, 3)
     rows = compare(file, found)
     asked = questions(file, rows, [3, 5])

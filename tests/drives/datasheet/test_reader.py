@@ -15,8 +15,8 @@ from benchmarks.chaos.mutated_sheets import NODE_ID, OBJECTS, mutated
 from benchmarks.chaos.sheet_judge import judged
 from drives.datasheet import building as reader
 from drives.datasheet.building import read_sheet
-from drives.datasheet.encoding import MAX_BYTES
-from drives.datasheet.numbers import number
+from drives.datasheet.object_values import number
+from drives.datasheet.sections import MAX_BYTES
 from drives.draft.answers import ProfileAnswers
 from drives.draft.device import device_of_sheet
 from drives.draft.text import draft

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drives.draft.answers import ProfileAnswers, address_of, read_answers, with_answers
-from drives.draft.device import Device, ask_drive, device_of_sheet
-from drives.draft.draft_units import unit_rad_s
+from drives.draft.device import Device, ask_drive, device_of_sheet, unit_rad_s
 from drives.draft.questions import QUESTIONS, next_question, open_questions
 from drives.draft.text import draft, profile_name
 from drives.errors import ProfileError

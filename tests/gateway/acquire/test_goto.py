@@ -11,14 +11,13 @@ import pytest
 from drives.errors import DriveFault
 from gateway.acquire.goto import Destination, destination, go, plan_transfer, remarks, transfer_from_here
 from gateway.acquire.plan import MoveTo, inward_steps
-from gateway.acquire.start_posture import refuse_start, smallest_exit, widened
 from gateway.cell.config import KeepOut
 from gateway.check.stop import slow_motion
 from gateway.errors import ConfigError, LimitExceeded, PlanRefused, WrongPlace
 from gateway.model.arm_model import arm_robot
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
-from gateway.motion.workspace import workspace_of
+from gateway.motion.workspace import refuse_start, smallest_exit, widened, workspace_of
 
 TARGET = (0.3, -0.2, 0.4, 0.5, -0.4, 0.6)
 PERIOD_S = 0.01

@@ -10,9 +10,9 @@ import pytest
 
 from drives.errors import DriveFault
 from gateway.acquire.events import PeriodDone, Progress, Started, Stopped
-from gateway.acquire.moving import driven_passes
 from gateway.acquire.passes import TRIED_SPEED, passes_of
 from gateway.acquire.plan import VisitSettings
+from gateway.acquire.session import driven_passes
 from gateway.errors import InputError, LimitExceeded, PlanRefused
 from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from gateway.acquire.requested_poses import asked_by, plan_asked, postures_to_ask
+from gateway.acquire.planning import asked_by, plan_asked, postures_to_ask
 from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, PlanRefused
 from gateway.model.arm_model import arm_robot, robot_text

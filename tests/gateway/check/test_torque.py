@@ -8,13 +8,13 @@ import pytest
 from drives.profile_file import load_profile
 from drives.torque_signals import TorqueSignals
 from gateway.cell.config import AxisConfig
-from gateway.check.torque import Scales, judge_torque
+from gateway.check.torque import judge_torque
 from gateway.preflight.rules import Axis
 from tests.data.axes import axis_table
 
 KT = axis_table()["torque_constant_nm_per_a"]["value"]
 RATED_NM, RATED_A = 1.27, 1.27 / KT
-SCALES = Scales(RATED_NM / 1000.0, RATED_A * KT / 1000.0)
+TORQUE_NM, CURRENT_A = RATED_NM / 1000.0, RATED_A / 1000.0
 STEPS = np.arange(600)
 #: A demand that goes in both directions, in per mille, and what a current loop makes of it.
 DEMAND = np.rint(180.0 * np.sin(STEPS / 40.0)).astype(int)
@@ -25,9 +25,9 @@ MEASURED = DEMAND + NOISE
 AXIS = Axis(1, AxisConfig.model_validate(axis_table()), load_profile("generic-cia402"))
 
 
-def judge(torque, demand=DEMAND, current=MEASURED, scales=SCALES):
+def judge(torque, demand=DEMAND, current=MEASURED, torque_nm=TORQUE_NM):
     words = TorqueSignals(1, list(torque), list(demand), list(current))
-    return judge_torque(AXIS, words, scales)
+    return [judge_torque(AXIS, words, torque_nm, CURRENT_A)]
 
 
 def only(items):
@@ -76,7 +76,7 @@ def test_an_opposite_sign():
     ],
 )
 def test_a_factor_between_torque_and_current_is_named(factor, severity, says):
-    got, what = only(judge(MEASURED, scales=Scales(SCALES.torque_nm * factor, SCALES.current_nm)))
+    got, what = only(judge(MEASURED, torque_nm=TORQUE_NM * factor))
     assert got == severity
     assert says in what
 

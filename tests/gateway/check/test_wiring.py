@@ -11,15 +11,15 @@ import pytest
 from gateway.cell.config import load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.check.moves import wiring_items
-from gateway.check.wiring import Moves, WiredArm
-from gateway.check.wiring_judge import judge_wiring
+from gateway.check.wiring import Moves, Verdict, judge_wiring
 from gateway.model.arm_model import arm_robot
 
 LOADED = load_cell(Path(__file__).parents[3] / "examples" / "small" / "cell.toml")
 CONFIG = LOADED.cell.arm[0]
 AXES = AxisConversion.from_arm(CONFIG)
 LIMIT = np.array([axis.torque_limit_nm for axis in CONFIG.axis])
-ARM = WiredArm(arm_robot(LOADED, CONFIG), np.array(CONFIG.gravity_m_s2), AXES, LIMIT, 0.05, 5.0)
+GRAVITY = np.array(CONFIG.gravity_m_s2)
+ROBOT = arm_robot(LOADED, CONFIG)
 PIN = pinocchio.buildModelFromUrdf(str(LOADED.path(CONFIG.robot)))
 FRICTION_NM = 0.008 * LIMIT
 START = np.array([0.2, 0.5, 0.2, 0.6, 0.7, 0.3])
@@ -59,13 +59,18 @@ def changed(**fields) -> AxisConversion:
     return replace(AXES, **values)
 
 
+def judged(found: Moves) -> Verdict:
+    known = {"gravity_m_s2": GRAVITY, "torque_limit_nm": LIMIT, "link_std": 0.05, "load_kg": 5.0}
+    return judge_wiring(found, ROBOT, AXES, **known)
+
+
 def named(found) -> list[tuple[str, tuple[int, ...]]]:
-    return [(wiring.name, wiring.joints) for wiring in judge_wiring(ARM, found).found]
+    return [(wiring.name, wiring.joints) for wiring in judged(found).found]
 
 
 @pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_wrong():
-    verdict = judge_wiring(ARM, moves())
+    verdict = judged(moves())
     assert verdict.found == ()
     for joint in (2, 3):
         view = verdict.axes[joint - 1]
@@ -93,7 +98,7 @@ def test_one_mistake_is_named(wired, order, expected):
 
 @pytest.mark.slow
 def test_a_gear_ratio_is_named_with_its_factor():
-    verdict = judge_wiring(ARM, moves(changed(ratio={2: 2.0})))
+    verdict = judged(moves(changed(ratio={2: 2.0})))
     (wiring,) = verdict.found
     assert (wiring.name, wiring.joints) == ("gear_ratio", (2,))
     assert wiring.factor == pytest.approx(0.5, rel=0.1)
@@ -101,7 +106,7 @@ def test_a_gear_ratio_is_named_with_its_factor():
 
 @pytest.mark.slow
 def test_friction_alone_determines_the_sense_of_a_wrist_without_gravity():
-    verdict = judge_wiring(ARM, moves(changed(torque_sign={6: -1})))
+    verdict = judged(moves(changed(torque_sign={6: -1})))
     (item,) = [item for item in wiring_items("main", range(1, 7), verdict) if item.severity == "fail"]
     assert item.where == "J6 node 6"
     assert "opposite signs" in item.what

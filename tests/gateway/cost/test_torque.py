@@ -10,8 +10,7 @@ import pytest
 
 from drives.profile_file import load_profile
 from gateway.cell.config import load_cell
-from gateway.cost.timing import line_path
-from gateway.cost.torque import PathTorque, TimeLaw
+from gateway.cost.timing import PathTorque, TimeLaw, line_path
 from gateway.feedforward.load import assumed_load
 from gateway.follow.settings import feed_model
 from gateway.identify.stated_effects import stated_terms

@@ -57,7 +57,7 @@ def test_a_kill_leaves_every_reported_visit_and_the_rest_up_to_a_second_before(t
     assert len(numbers) >= reported
     assert numbers == list(range(1, len(numbers) + 1))
     if not both:
-        assert 0.0 <= last_s - read_frames(tmp_path / "trace.log")[-1].time_s < 1.0
+        assert 0.0 <= last_s - read_frames(tmp_path / "trace.log")[-1].timestamp < 1.0
 
 
 def test_a_blocked_file_delays_no_other_and_a_killed_process_is_replaced(disk, tmp_path, header):

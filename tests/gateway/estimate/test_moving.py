@@ -12,7 +12,7 @@ from gateway.data.table import read_csv
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate import estimate, run
 from gateway.estimate.moving_estimate import estimate_moving
-from gateway.identify.knowledge import Knowledge
+from gateway.identify.knowledge import Knowledge, WeighedLoad
 from gateway.identify.motion.columns import MovingSetup
 from gateway.model.robot import robot_from_urdf
 from tests.data.moving_arm import World, measured, several
@@ -80,6 +80,26 @@ def test_load_with_known_links_and_a_known_load(arm, table_of):
     assert (estimate(table, arm.robot, options).rows.rms_nm < 0.2).all()
     with pytest.raises(InputError, match="--known other"):
         estimate(table, arm.robot, Knowledge(link_std=np.inf, known={"other": point}))
+
+
+@pytest.mark.parametrize("com_m", [None, (0.1, 0.0, 0.02)])
+def test_a_weighed_load_tells_what_the_constants_have_in_common(arm, table_of, com_m):
+    """All torques are 5 % too large; without the weight the other load is that much too heavy."""
+    loads = {"none": None, "weight": (20.0, 0.1, 0.0, 0.02), "tool": TOOL}
+    runs = [moving_table(arm, table_of, name, load, seed=k, noise=0.2) for k, (name, load) in enumerate(loads.items())]
+    table = concatenate(runs)
+    table = replace(table, tau_nm=1.05 * table.tau_nm)
+    stated = Knowledge(link_std=np.inf, gain_std=(0.05,) * 6, change=0.05)
+    weighed = {"weight": WeighedLoad(20.0, 0.02, com_m, 0.001)}
+    before, after = (
+        {load.label: load for load in run(table, arm.robot, knowledge).loads}
+        for knowledge in (stated, replace(stated, weighed=weighed))
+    )
+    assert after["weight"].mass_kg == pytest.approx(20.0, abs=0.08)
+    assert after["tool"].mass_std_kg < 0.5 * before["tool"].mass_std_kg
+    assert abs(after["tool"].mass_kg - TOOL[0]) < 4 * after["tool"].mass_std_kg
+    with pytest.raises(InputError, match="--known other"):
+        run(table, arm.robot, Knowledge(weighed={"other": WeighedLoad(5.0)}))
 
 
 def test_a_loaded_run_alone_lumps_with_link_6(arm, table_of):

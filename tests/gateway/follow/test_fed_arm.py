@@ -7,9 +7,8 @@ import pytest
 
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.feedforward.load import assumed_load
-from gateway.follow.fed_arm import FedArm
 from gateway.follow.path import FollowPath, read_path
-from gateway.follow.path_run import follow
+from gateway.follow.path_run import FedArm, follow
 from gateway.follow.settings import Setting, check_offsets
 from gateway.follow.track import Recorder
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest

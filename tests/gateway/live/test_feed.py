@@ -88,20 +88,16 @@ def test_a_page_that_is_gone_is_let_go(rig, began):
     rig.feed.began(*began)
     rig.page.close()
     observers = Observers(rig.feed)
-    observers.sampled(*_parts(observed(1, Q_RAD)))
+    observers.notify(lambda each: each.sampled(observed(1, Q_RAD)))
     assert rig.feed.gone
-    observers.sampled(*_parts(observed(2, Q_RAD)))
-    observers.reported(MotionProgress("move", 1, 2))
-    observers.ended(None)
+    observers.notify(lambda each: each.sampled(observed(2, Q_RAD)))
+    observers.notify(lambda each: each.reported(MotionProgress("move", 1, 2)))
+    observers.notify(lambda each: each.ended(None))
     assert observers.troubles == []
     wish = rig.feed.pressed()
     assert wish is not None
     assert (wish.kind, wish.cause.exit_code) == (StopKind.ALONG_PATH, 5)
     assert "stop button" in str(wish.cause)
-
-
-def _parts(seen):
-    return seen.samples, seen.targets_rad, seen.modelled_nm
 
 
 def test_the_button_asks_for_a_stop_and_the_second_time_for_a_quick_one(rig):

@@ -12,7 +12,7 @@ from gateway.model.kinematics import link_frames
 from gateway.model.solid import solid_capsule
 from gateway.motion.body import Body, base_and_link_frames, body_of_parts
 from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_between
-from gateway.motion.segment_distance import segment_box_distance, segment_segment_distance
+from gateway.motion.convex_distance import segment_box_distance, segment_segment_distance
 from gateway.motion.workspace import workspace_of
 from tests.data.around import NO_BOX, among_boxes
 

@@ -5,8 +5,7 @@ import numpy as np
 from drives.values import DriveReading
 from gateway.data.blackbox import part
 from gateway.live.wire import SHOWN
-from gateway.motion.observed_fields import FIELDS, fill
-from gateway.motion.observer import Observed
+from gateway.motion.observer import FIELDS, Observed, fill
 from tests.data.observed import observed
 
 

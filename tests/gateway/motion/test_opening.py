@@ -91,7 +91,7 @@ def group(monkeypatch) -> Group:
     monkeypatch.setattr(opening, "open_bus", lambda *_: nullcontext())
     monkeypatch.setattr(opening, "DriveGroup", group.of)
     monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: None)
-    monkeypatch.setattr(opening, "look_over", lambda *_: SimpleNamespace(refusing=(), items=(), readings=()))
+    monkeypatch.setattr(opening, "look_over", lambda *_: ((), ()))
     return group
 
 

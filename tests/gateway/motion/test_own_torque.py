@@ -13,8 +13,7 @@ from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.feedforward.identified import AxisConstants, Known
 from gateway.model.arm_model import robot_text
-from gateway.motion.own_torque import OwnTorque
-from gateway.motion.watch import Watch
+from gateway.motion.watch import OwnTorque, Watch
 from tests.gateway.motion.test_watch import ANSWER
 
 PERIOD_S = 0.01

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import make_interp_spline
 
-from gateway.motion.pathclock import PathClock
-from gateway.motion.setpoints import MotionSetpoints
+from gateway.motion.setpoints import MotionSetpoints, PathClock
 from gateway.motion.trajectory import Motion, MotionLimits, straight
 
 PERIOD_S = 0.01

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drives.profile_parts import Temperature
+from drives.profile import Temperature
 from drives.sdo import Posted
 from gateway.motion.temperature import MotorTemperatures
 

@@ -9,7 +9,7 @@ import pytest
 from gateway.cell.config import SourcedNumber
 from gateway.feedforward.identified import AxisConstants, Known
 from gateway.model.arm_model import arm_robot, robot_text
-from gateway.motion.torque_need import needed_torque_nm
+from gateway.motion.drive_limits import needed_torque_nm
 from gateway.motion.workspace import workspace_of
 
 DECEL = np.array([3.0, 2.0, 4.0, 6.0, 8.0, 10.0])

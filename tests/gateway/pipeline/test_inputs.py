@@ -158,8 +158,8 @@ def test_corrected_torque_constant_scales_what_was_measured_as_current(cell_at, 
             )
         }
     )
-    monkeypatch.setattr("gateway.data.recording.binding.parse_profile", lambda *_: current)
-    monkeypatch.setattr("gateway.data.recording.samples.SAME_TORQUE", 1e9)
+    monkeypatch.setattr("gateway.data.recording.recorded.parse_profile", lambda *_: current)
+    monkeypatch.setattr("gateway.data.recording.reader.SAME_TORQUE", 1e9)
     recorded = read_rows([path], collect_inputs(ModelRequest(), [path])).tau_nm
     scaled = read_rows([path], collect_inputs(ModelRequest(cell=corrected), [path])).tau_nm
     assert scaled[:, 0] == pytest.approx(2.0 * recorded[:, 0])

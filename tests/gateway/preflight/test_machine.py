@@ -8,7 +8,6 @@ from drives.bus import BusSpec
 from drives.realtime import RealTimeStatus, available
 from gateway.cell.config import BusConfig
 from gateway.preflight.machine import (
-    Timer,
     judge_bus,
     judge_lateness,
     judge_realtime,
@@ -27,8 +26,8 @@ class Clock:
     def sleep(self, seconds: float) -> None:
         self.now_s += seconds + self.delay_s
 
-    def timer(self) -> Timer:
-        return Timer(lambda: self.now_s, self.sleep)
+    def now(self) -> float:
+        return self.now_s
 
 
 def config(**changes):
@@ -36,7 +35,8 @@ def config(**changes):
 
 
 def test_every_period_is_measured_from_the_start_so_that_lateness_does_not_add_up():
-    lateness = measure_lateness(0.004, Clock(0.001).timer())
+    clock = Clock(0.001)
+    lateness = measure_lateness(0.004, clock.now, clock.sleep)
     assert len(lateness) == 75
     assert lateness == pytest.approx([0.001] * 75)
 
@@ -44,9 +44,7 @@ def test_every_period_is_measured_from_the_start_so_that_lateness_does_not_add_u
 def test_a_loop_stalled_for_longer_than_a_period_is_delayed_at_the_periods_it_missed():
     clock = Clock(0.0)
     calls = iter(range(1000))
-    lateness = measure_lateness(
-        0.01, Timer(lambda: clock.now_s, lambda left: clock.sleep(left + (0.025 if next(calls) == 4 else 0.0)))
-    )
+    lateness = measure_lateness(0.01, clock.now, lambda left: clock.sleep(left + (0.025 if next(calls) == 4 else 0.0)))
     assert [round(each, 4) for each in lateness[3:9]] == [0.0, 0.025, 0.015, 0.005, 0.0, 0.0]
 
 
@@ -63,12 +61,12 @@ def test_a_hundredth_of_the_periods_may_be_later():
 
 
 def test_only_a_bus_that_the_clock_paces_is_measured():
-    slow = Clock(0.01).timer()
-    spec = BusSpec("socketcan", "can0")
-    real = judge_surroundings(config(pacing="real"), spec, slow)
+    slow, spec = Clock(0.01), BusSpec("socketcan", "can0")
+    real = judge_surroundings(config(pacing="real"), spec, slow.now, slow.sleep)
     assert [item.severity for item in real] == ["ok", "fail"]
     assert "raise sync_period_s" in real[1].advice
-    assert [item.severity for item in judge_surroundings(config(pacing="lockstep"), spec, slow)] == ["ok"]
+    lockstep = judge_surroundings(config(pacing="lockstep"), spec, slow.now, slow.sleep)
+    assert [item.severity for item in lockstep] == ["ok"]
 
 
 @pytest.mark.parametrize("interface", ["udp_multicast", "virtual", "socketcand"])

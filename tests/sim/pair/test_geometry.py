@@ -9,6 +9,7 @@ import pytest
 from sim.pair import geometry
 from sim.pair.pair_errors import draw
 from sim.pair.ranges import Rig, ranges
+from sim.urdf import translation, turn
 from tests.sim.conftest import reference_arms
 
 REFERENCE = reference_arms()
@@ -21,8 +22,8 @@ def test_forward_kinematics_agrees_with_pinocchio() -> None:
     before = pinocchio.SE3.Identity()
     for row in range(6):
         joint = model.addJoint(joint, pinocchio.JointModelRZ(), before, f"j{row}")
-        turn = geometry.turn("x", arm.alpha_rad[row])[:3, :3]
-        before = pinocchio.SE3(turn, np.array([arm.a_m[row], 0.0, arm.d_m[row]]))
+        twist = turn("x", arm.alpha_rad[row])[:3, :3]
+        before = pinocchio.SE3(twist, np.array([arm.a_m[row], 0.0, arm.d_m[row]]))
     tool = before * pinocchio.SE3(arm.tool)
     data, rng = model.createData(), np.random.default_rng(1)
     for q in rng.uniform(-2.0, 2.0, (10, 6)):
@@ -57,11 +58,11 @@ def test_same_seed_same_errors_and_their_size() -> None:
 
 
 def test_distances_at_the_demanded_relation_and_moved_away() -> None:
-    relation = geometry.translation(-0.4, 0.0, 0.0) @ geometry.turn("z", np.pi)
+    relation = translation(-0.4, 0.0, 0.0) @ turn("z", np.pi)
     origin, beam = np.array([[0.06, 0.0, 0.0], [-0.04, 0.05, 0.0], [0.0, 0.06, 0.02]]), np.eye(3)[[2, 2, 0]]
     hit = (origin + 0.005 * beam) @ relation[:3, :3].T + relation[:3, 3]
     rig = Rig(origin, beam, hit, -beam @ relation[:3, :3].T)
-    first = geometry.turn("z", 0.3)[None]
+    first = turn("z", 0.3)[None]
     assert np.allclose(ranges(rig, first, first @ relation), 0.005)
-    closer = relation @ geometry.translation(0.0, 0.0, 0.001)
+    closer = relation @ translation(0.0, 0.0, 0.001)
     assert np.allclose(ranges(rig, first, first @ closer)[0], [0.004, 0.004, 0.005])

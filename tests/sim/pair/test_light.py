@@ -18,7 +18,7 @@ from sim.pair.geometry import jacobian
 from sim.pair.light import LightWorld
 from sim.pair.two_arms import STEP_S, TwoArms
 from sim.pair.world import PairWorld
-from sim.serve import _obey
+from sim.serve import obey
 from sim.simulation import GripError, ServeOptions, Simulation
 from sim.states import PdsState
 from tests.sim.conftest import go, power, torques
@@ -329,7 +329,7 @@ def test_grippers_open_and_close_on_standard_input(simulation_of: Callable[..., 
             else:
                 yield line
 
-    _obey(simulation, obeyed(), said.append)  # type: ignore[arg-type]
+    obey(simulation, obeyed(), said.append)
     assert said[:3] == ["grippers open", "False", "grippers closed"]
     assert part.stiffness.all()
     assert "grip open, grip closed" in said[3]
@@ -342,13 +342,13 @@ def test_grippers_that_hold_nothing_are_refused_in_words(
     simulation, said = simulation_of(EXAMPLES / cell), []
     with pytest.raises(GripError, match=why):
         simulation.grip(open=True)
-    _obey(simulation, iter(["grip open"]), said.append)  # type: ignore[arg-type]
+    obey(simulation, ["grip open"], said.append)
     assert why in said[0]
 
 
 def test_a_load_cannot_be_mounted_on_a_pair(simulation_of: Callable[..., Simulation]) -> None:
     simulation, said = simulation_of(CELL), []
-    _obey(simulation, iter(["payload none"]), said.append)  # type: ignore[arg-type]
+    obey(simulation, ["payload none"], said.append)
     assert "holds the workpiece" in said[0]
 
 

@@ -11,13 +11,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim.cellfile import ArmSpec, read_cell
+from sim.engine import bullet
 from sim.pair.body import load_pair
 from sim.pair.cell import PairOptions, pair_units
 from sim.pair.geometry import ArmGeometry, tip
 from sim.pair.pair_errors import GEAR_STIFFNESS_NM_RAD, draw
 from sim.pair.rows import rows_of
 from sim.pair.two_arms import STEP_S, TwoArms
-from sim.physics import bullet
 from sim.urdf import SimBody, SimChain
 from tests.sim.conftest import go, power, reference_arms, torques
 
@@ -121,7 +121,9 @@ def test_links_weigh_in_the_rows_what_they_weigh_in_the_file(robot: str) -> None
     bullet.setGravity(0.0, 0.0, -9.80665, physicsClientId=client)
     file, own = str(UNEQUAL / f"{robot}.urdf"), bullet.URDF_USE_INERTIA_FROM_FILE
     body = bullet.loadURDF(file, useFixedBase=True, flags=own, physicsClientId=client)
-    alone = torques((client, body), q[:axes], qd[:axes], qdd[:axes])
+    motion = [state[:axes].tolist() for state in (q, qd, qdd)]
+    alone = np.array(bullet.calculateInverseDynamics(body, *motion, physicsClientId=client))
+    bullet.disconnect(physicsClientId=client)
     world.close()
     assert two == pytest.approx(alone, rel=1e-5, abs=1e-3)
 

@@ -26,9 +26,8 @@ from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.law import FeedforwardLaw
 from gateway.follow.comparison import result_of
-from gateway.follow.job import Prepared, prepare
 from gateway.follow.path_run import follow
-from gateway.follow.settings import Setting
+from gateway.follow.settings import Prepared, Setting, prepare
 from gateway.jobs.cell_context import open_cell
 from gateway.model.arm_model import arm_named
 from gateway.result.follow import FollowResult

@@ -85,7 +85,7 @@ def place(drives: IndependentDrives, tmp_path_factory: pytest.TempPathFactory) -
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(folder / "state"))
         # Whether this computer is idle enough has a test of its own; a delayed SYNC in motion still ends a command.
-        patch.setattr(machine, "measure_lateness", lambda period_s, timer=None: [0.0])
+        patch.setattr(machine, "measure_lateness", lambda *_: [0.0])
         here = Place(folder, drives.bus)
         words = ("--eds", folder / "drive.eds", "--answers", folder / "answers.toml", "-o", folder / "axd.toml")
         here.types("profiles", "new", *words, bus=False)

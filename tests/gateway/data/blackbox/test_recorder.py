@@ -8,7 +8,7 @@ import can
 import numpy as np
 import pytest
 
-from drives.frame_log import ERROR, EXTENDED, FRAME, RECEIVED, REMOTE, LoggedFrame, read_frames, write_blf
+from drives.frame_log import ERROR, EXTENDED, FRAME, RECEIVED, REMOTE, read_frames, write_blf
 from gateway.data.blackbox import ring_buffer
 from gateway.data.blackbox.box import read_box, write_box
 from gateway.data.blackbox.part import FIELDS, BoxHeader, pack, unpack, width_of
@@ -107,9 +107,10 @@ def test_every_number_and_every_kind_of_frame_comes_back(tmp_path):
     assert np.concatenate(together, axis=1).tobytes() == rows.tobytes()
     assert box.frames.tobytes() == frames
     logged = read_frames(tmp_path / "b.blf")
-    assert [each.can_id for each in logged] == [0x80, 0x81, 0x82, 0x83, 0x84]
-    assert [each.kind for each in logged] == ["data", "data", "data", "remote", "error"]
-    assert [each.received for each in logged][:2] == [True, False]
+    assert [each.arbitration_id for each in logged] == [0x80, 0x81, 0x82, 0x83, 0x84]
+    assert [each.is_remote_frame for each in logged] == [False, False, False, True, False]
+    assert [each.is_error_frame for each in logged] == [False, False, False, False, True]
+    assert [each.is_rx for each in logged][:2] == [True, False]
     assert logged[1].data == bytes(range(3))
 
 
@@ -166,4 +167,4 @@ def test_what_is_no_black_box_is_said(tmp_path):
     (tmp_path / "x.h5").write_bytes(b"no")
     with pytest.raises(InputError, match="not an HDF5 file"):
         read_box(tmp_path / "x.h5")
-    write_blf(tmp_path / "f.blf", [LoggedFrame(1.0, 1, b"")])
+    write_blf(tmp_path / "f.blf", [can.Message(timestamp=1.0, arbitration_id=1)])

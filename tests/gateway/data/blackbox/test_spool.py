@@ -6,8 +6,7 @@ import numpy as np
 
 from gateway.data.blackbox.box import read_box
 from gateway.data.blackbox.part import BoxHeader, pack, width_of
-from gateway.data.blackbox.ring_buffer import BOTH_KILLED, Ring, box_of, folder_of, recording_of
-from gateway.data.blackbox.spool import MOST_BOXES, place_in
+from gateway.data.blackbox.ring_buffer import BOTH_KILLED, MOST_BOXES, Ring, box_of, folder_of, place_in, recording_of
 
 NOW = datetime(2026, 11, 23, 4, 5, 6, tzinfo=UTC)
 

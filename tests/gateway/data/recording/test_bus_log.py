@@ -41,10 +41,10 @@ def test_a_trace_holds_what_was_sent_and_received(disk, bus, tmp_path):
         other.send(can.Message(arbitration_id=0x1ABCDEF0, is_remote_frame=True, dlc=3, is_extended_id=True))
         bus.drain()
     sent, received, remote = read_frames(path)
-    assert (sent.can_id, sent.data, sent.received, sent.channel) == (0x123, b"\x01", False, "vcan0")
-    assert (received.can_id, received.data, received.received, received.channel) == (0x456, b"\x02", True, "trace")
-    assert (remote.can_id, remote.kind, remote.extended) == (0x1ABCDEF0, "remote", True)
-    assert sent.time_s <= received.time_s <= remote.time_s
+    assert (sent.arbitration_id, sent.data, sent.is_rx, sent.channel) == (0x123, b"\x01", False, "vcan0")
+    assert (received.arbitration_id, received.data, received.is_rx, received.channel) == (0x456, b"\x02", True, "trace")
+    assert (remote.arbitration_id, remote.is_remote_frame, remote.is_extended_id) == (0x1ABCDEF0, True, True)
+    assert sent.timestamp <= received.timestamp <= remote.timestamp
 
 
 @pytest.mark.parametrize("name", ["missing/trace.log", "trace.unknown"])

@@ -149,13 +149,13 @@ def test_a_slower_motion_is_another_one():
 
 def test_a_corrected_gear_ratio_is_used(path, cell):
     other = parse_cell(cell.text.replace("{ value = 120,", "{ value = 240,", 1), "cell.toml")
-    bound = bind(read(path), other, other.arm[0])
-    before, after = read(path).arms[0].periods[0], bound.recording.arms[0].periods[0]
+    bound, corrections = bind(read(path), other, other.arm[0])
+    before, after = read(path).arms[0].periods[0], bound.arms[0].periods[0]
     assert after.joint_torque_nm[:, 0] == pytest.approx(2.0 * before.joint_torque_nm[:, 0])
     assert after.q_rad[:, 0] == pytest.approx(0.5 * before.q_rad[:, 0])
     assert after.target_rad[:, 0] == pytest.approx(0.5 * before.target_rad[:, 0])
     assert after.joint_torque_nm[:, 1:] == pytest.approx(before.joint_torque_nm[:, 1:])
-    assert [each.joint for each in bound.corrections] == [1]
+    assert [each.joint for each in corrections] == [1]
 
 
 def test_a_file_is_gone_on_with(path, cell):

@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 
 from gateway.data.disk import PROGRAM, Disk
-from gateway.data.recording.lock import sole_writer
 from gateway.data.recording.queue import VisitQueue
 from gateway.data.recording.reader import read
-from gateway.data.recording.writer import RecordingHeader, RecordingWriter
+from gateway.data.recording.writer import RecordingHeader, RecordingWriter, sole_writer
 from gateway.data.visit import Visit
 from gateway.errors import InputError
 from tests.data.visits import ARM_HEADER, visit, write_behind, write_slowly
