@@ -33,6 +33,7 @@ def main() -> None:
     metavar="NAME",
     help="Fault: [NODE:]NAME, or a file of [[fault]] kind, node, at_sync; repeatable.",
 )
+@click.option("--noise-seed", type=click.IntRange(min=0), hidden=True)
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the truth here at start.")
 @click.option("--pacing", type=click.Choice(PACINGS), help="Instead of the cell's: by SYNC, or in real time.")
 @click.option(

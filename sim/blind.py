@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.draw import LOADED_S, POSES, VISIT_S, DrawnArm, choose_poses, draw_arm
-from sim.draw_effects import MAKERS, OFF_MAKERS, Effect, Maker
+from sim.draw_effects import MAKERS, MISTAKES, OFF_MAKERS, Effect, Maker
 from sim.effects import apply_effects
 from sim.offline import PlannedVisit, Protocol, gravity_columns, measure, point_jacobian
 from sim.plant import Plant
@@ -70,12 +70,20 @@ def draw_cell(seed: int) -> BlindCell:
     rng = np.random.default_rng([seed, 1])
     arm = draw_arm(rng)
     poses = choose_poses(arm, POSES, rng)
-    visits = [PlannedVisit(k, "none", VISIT_S * k, q) for k, q in enumerate(poses)]
-    visits += [PlannedVisit(k, "tool", LOADED_S + VISIT_S * k, q) for k, q in enumerate(poses)]
+    visits = planned(poses, {"none": 0.0, "tool": LOADED_S}, VISIT_S)
     truth, protocol = _draw_truth(arm, visits, rng)
     in_plant = [effect for effect in truth.effects if effect["name"] != "position_friction"]
     plant = apply_effects(arm.plant, in_plant, point_jacobian(arm.chain))
     return BlindCell(seed, arm, plant, protocol, tuple(visits), truth)
+
+
+def planned(poses_rad: Array, starts_s: Mapping[str, float], visit_s: float) -> list[PlannedVisit]:
+    """Visits of the same poses (n, N) with each load, from the instant at which its first one starts."""
+    return [
+        PlannedVisit(pose, load, start_s + visit_s * pose, q)
+        for load, start_s in starts_s.items()
+        for pose, q in enumerate(poses_rad)
+    ]
 
 
 def _draw_truth(arm: DrawnArm, visits: list[PlannedVisit], rng: np.random.Generator) -> tuple[Truth, Protocol]:
@@ -84,7 +92,7 @@ def _draw_truth(arm: DrawnArm, visits: list[PlannedVisit], rng: np.random.Genera
         return Truth("clean", (), ()), arm.protocol
     two, off = lot < MIX["clean"] + MIX["two"], lot > 1.0 - MIX["off"]
     makers = OFF_MAKERS if off else MAKERS
-    names = [name for name in makers if _applies(name, arm, two)]
+    names = [name for name in makers if applies(name, arm, two)]
     chosen = [names[k] for k in rng.permutation(len(names))[: 2 if two else 1]]
     effects, strengths, protocol = [], [], arm.protocol
     for name in chosen:
@@ -104,10 +112,10 @@ def wanted_strength(rng: np.random.Generator) -> float:
     return float(np.exp(rng.uniform(np.log(LEAST_STRENGTH), np.log(MOST_STRENGTH))))
 
 
-def _applies(name: str, arm: DrawnArm, two: bool) -> bool:
-    if name == "torque_constant_scale_common":
-        return bool(arm.known)
-    return not (two and name in ("sign_reversed", "axes_swapped", "current_rms_peak"))
+def applies(name: str, arm: DrawnArm, two: bool) -> bool:
+    """Whether an effect can be drawn: a common scale shows against a weighed load alone, a shift needs a load."""
+    stated = {"torque_constant_scale_common": arm.known, "payload_shift": arm.loads}.get(name, True)
+    return bool(stated) and not (two and name in MISTAKES)
 
 
 def scaled(
@@ -146,21 +154,22 @@ def closest(
     return best
 
 
-def strength(arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str, object]) -> float:
-    """Projected strength of one effect over the noise floor, as the module text defines it."""
-    return _strength(arm, visits, effect, 0.0, 0.0)
-
-
 def strength_beyond(arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str, object]) -> float:
     """Strength of one effect beyond gains and biases too; infinite for a mistake of commissioning."""
-    if effect["name"] in ("sign_reversed", "axes_swapped", "current_rms_peak"):
-        return float("inf")
-    return _strength(arm, visits, effect, GAIN_STD, BIAS_SHARE)
+    return float("inf") if effect["name"] in MISTAKES else strength(arm, visits, effect, GAIN_STD, BIAS_SHARE)
 
 
-def _strength(
-    arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str, object], gain_std: float, bias_share: float
+def strength(
+    arm: DrawnArm,
+    visits: Sequence[PlannedVisit],
+    effect: Mapping[str, object],
+    gain_std: float = 0.0,
+    bias_share: float = 0.0,
 ) -> float:
+    """Projected strength of one effect over the noise floor, as the module text defines it.
+
+    `gain_std` and `bias_share` state one standard deviation of the nuisance parameters that are projected out too.
+    """
     quiet = replace(arm.protocol, settle=np.zeros(6), resolution_nm=np.zeros(6), samples=1)
     still = replace(arm.plant, reading_noise_nm=np.zeros(6))
     rng = np.random.default_rng(0)

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.effects import warm_up
 from sim.offline import Protocol, gravity_columns, half_floor, statics
 from sim.plant import Payload, Plant, nominal_plant
-from sim.reading_effects import warm_up
 from sim.urdf import SimBody, SimChain, write_chain
 
 Array = NDArray[np.float64]

@@ -8,6 +8,9 @@ import numpy as np
 
 from sim.draw import DrawnArm
 
+#: Mistakes of commissioning: they have no size, and are drawn alone.
+MISTAKES = frozenset({"sign_reversed", "axes_swapped", "current_rms_peak"})
+
 Effect = dict[str, object]
 
 Build = Callable[[float], Effect]

@@ -75,17 +75,13 @@ def raise_fault(drive: FakeDrive, fault: Fault) -> None:
 
 def quick_stop(drive: FakeDrive, _fault: Fault) -> None:
     """The drive makes a quick stop without a command."""
-    before = drive.automaton.state
-    drive.automaton.quick_stop()
-    drive.motion.state_changed(before)
+    drive.make(drive.automaton.quick_stop)
 
 
 def torque_off(drive: FakeDrive, _fault: Fault) -> None:
     """The safety circuit switches the torque off once."""
-    before = drive.automaton.state
     drive.node.emergency(EMCY_SAFE_TORQUE_OFF, 0x81)
-    drive.automaton.disable_voltage()
-    drive.motion.state_changed(before)
+    drive.make(drive.automaton.disable_voltage)
 
 
 def open_safety_circuit(drive: FakeDrive, fault: Fault) -> None:

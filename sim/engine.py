@@ -133,6 +133,11 @@ class Engine:
         state = (list(q_rad), list(qd_rad_s), list(qdd_rad_s2))
         return np.array(bullet.calculateInverseDynamics(self.body, *state, physicsClientId=self.client))
 
+    def torque_nm(self, q_rad: Array, qd_rad_s: Array, qdd_rad_s2: Array) -> Array:
+        """Joint torques (n, N) [Nm] for states (n, N), as `needed_nm`."""
+        states = zip(q_rad.tolist(), qd_rad_s.tolist(), qdd_rad_s2.tolist(), strict=True)
+        return np.array([self.needed_nm(*state) for state in states])
+
     def step(self, torque_nm: list[float]) -> tuple[list[float], list[float]]:
         """Advance by one time step under joint torques (N,); return angles and speeds (N,) [rad, rad/s]."""
         body, client, joints = self.body, self.client, self._joints

@@ -17,22 +17,20 @@ from canopen.sdo.exceptions import SdoAbortedError
 from sim.cellfile import AxisSpec
 from sim.device import PDO_COUNT, Device
 from sim.makes import LACKING, SUPPORTED_MODES, Word
-from sim.motion import DriveMotion
-from sim.motor import MotorAxis
+from sim.motion import MODES, DriveMotion
+from sim.motor import Motor
 from sim.node import OPERATIONAL
 from sim.objects import LIMITS, NO_DATA, VALUE_RANGE, Address, Getter, Setter
 from sim.pdo import EVENT_TYPES, Pdo
 from sim.states import Automaton, PdsState
 from sim.units import MAX_TORQUE_PER_MILLE, drive_units, named_object
 
-POLARITY_POSITION = 0x80
 VOLTAGE_ENABLED, REMOTE = 1 << 4, 1 << 9
 EMCY_HEARTBEAT, EMCY_PDO_LENGTH = 0x8130, 0x8210
 REGISTER_GENERIC, REGISTER_COMMUNICATION, REGISTER_PROFILE = 0x01, 0x10, 0x20
 
 VENDOR_ID = 0x0000053A
 REVISION = 0x00010000
-MODES = {1: 0, 8: 7, 10: 9}
 #: Margin of the drive's software limits outside the cell's [rad].
 LIMIT_MARGIN_RAD = 0.05
 FOLLOWING_WINDOW_RAD = 0.15
@@ -53,7 +51,8 @@ class FakeDrive(Device):
     Attributes
     ----------
     units : scaling of its objects
-    automaton : CiA 402 state machine; mode : 0x6060 (0 none, 1 PP, 8 CSP, 10 CST)
+    automaton : CiA 402 state machine
+    motion : setpoints and what follows of them
     axis : the motor that it drives
     reading_nm : torque measured last, at the gear output [Nm]
     error_code : 0x603F
@@ -65,7 +64,7 @@ class FakeDrive(Device):
         self,
         node_id: int,
         spec: AxisSpec,
-        axis: MotorAxis,
+        axis: Motor,
         sync_period_s: float,
         send: Callable[[can.Message], None],
         limited: bool = True,
@@ -75,14 +74,13 @@ class FakeDrive(Device):
         self.limited, self.axis = limited, axis
         self.units = drive_units(spec)
         self.serial = 0x51_0000 + node_id
-        self.counts_per_joint_rad = spec.position_sign * spec.gear_ratio * self.units.counts_per_rad
         self.reading_nm = 0.0
         self.automaton = Automaton()
         self.time_s = 0.0
-        self.motion = DriveMotion(self)
-        self.reset_setpoints()
+        self.error_code = 0
+        self.motion = DriveMotion(spec, self.units, self.store, axis, self.automaton, self.raise_fault)
         fill(self)
-        self.target_counts = self.position_counts()
+        self.motion.reset(0)
         self.tpdos = [Pdo(self.store, 0x1800 + n, 0x1A00 + n) for n in range(PDO_COUNT)]
         self.rpdos = [Pdo(self.store, 0x1400 + n, 0x1600 + n) for n in range(PDO_COUNT)]
         self.connect()
@@ -97,21 +95,13 @@ class FakeDrive(Device):
         self.take_max_torque(MAX_TORQUE_PER_MILLE)
         self.automaton.power_up()
 
-    def reset_setpoints(self) -> None:
-        """Set mode, targets, offsets and error code to their values at power-up."""
-        self.mode = 0
-        self.target_counts = self.velocity_offset = self.torque_offset = self.target_torque = 0
-        self.error_code = 0
-
     def reset(self, keeps: Callable[[int], bool] = lambda _index: False) -> None:
         """Restart with the brake applied; objects and PDOs take their power-up values unless `keeps(index)` is true."""
         self.axis.lock()
-        mode = self.mode
-        self.reset_setpoints()
-        self.mode = mode if keeps(0x6060) else 0
+        self.error_code = 0
         self.store.values.update({key: value for key, value in self.power_up_values.items() if not keeps(key[0])})
         self.automaton.quick_stop_holds = False
-        self.target_counts = self.position_counts()
+        self.motion.reset(self.motion.mode if keeps(0x6060) else 0)
         if not keeps(0x1800):
             self.preset_pdos()
         self.take_max_torque(self.store.number((0x6072, 0)))
@@ -196,6 +186,12 @@ class FakeDrive(Device):
             self.node.emergency(0x0000, 0)
         self.motion.state_changed(before)
 
+    def make(self, transition: Callable[[], None]) -> None:
+        """Make a transition of the state machine without a command, and let the motion follow it."""
+        before = self.automaton.state
+        transition()
+        self.motion.state_changed(before)
+
     @property
     def enabled(self) -> bool:
         """Return whether the drive is in OPERATION ENABLED."""
@@ -203,15 +199,8 @@ class FakeDrive(Device):
 
     def statusword(self) -> int:
         """Return the statusword (0x6041)."""
-        word = self.automaton.state.value | VOLTAGE_ENABLED | self.motion.status_bits()
+        word = self.automaton.state.value | VOLTAGE_ENABLED | self.motion.status_bits(self.error_code)
         return word | REMOTE if self.node.state == OPERATIONAL else word
-
-    def take_mode(self, value: int) -> None:
-        """Set the mode of operation (0x6060)."""
-        if value not in MODES and value != 0:
-            raise SdoAbortedError(VALUE_RANGE)
-        self.mode = value
-        self.motion.mode_changed()
 
     def take_quick_stop_option(self, value: int) -> None:
         """Set the quick stop option (0x605A): 0 coast, 1-3 end SWITCH ON DISABLED, 5-7 hold QUICK STOP ACTIVE."""
@@ -223,11 +212,9 @@ class FakeDrive(Device):
         """Make transition 13 of CiA 402: send an EMCY, then start the fault reaction."""
         if self.automaton.state in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
             return
-        before = self.automaton.state
         self.error_code = code
         self.node.emergency(code, register)
-        self.automaton.fault()
-        self.motion.state_changed(before)
+        self.make(self.automaton.fault)
 
     def _heartbeat_lost(self, _node_id: int) -> None:
         self.node.emergency(EMCY_HEARTBEAT, self.node.error_register | REGISTER_GENERIC | REGISTER_COMMUNICATION)
@@ -251,57 +238,33 @@ class FakeDrive(Device):
 
     def _connection_lost(self, code: int) -> None:
         """Act on the abort connection option (0x6007): 1 fault, 2 disable voltage, 3 quick stop."""
-        option, before = self.store.number((0x6007, 0)), self.automaton.state
-        if before is not PdsState.OPERATION_ENABLED:
-            return
-        if option == 1:
-            self.error_code = code or 0x8100
-            self.automaton.fault()
-        elif option == 2:
-            self.automaton.disable_voltage()
-        elif option == 3:
-            self.automaton.quick_stop()
-        self.motion.state_changed(before)
+        automaton, option = self.automaton, self.store.number((0x6007, 0))
+        if self.enabled and option:
+            if option == 1:
+                self.error_code = code or 0x8100
+            self.make({1: automaton.fault, 2: automaton.disable_voltage, 3: automaton.quick_stop}[option])
 
     # ------------------------------------------------------------------------------------------------ words in, out
 
-    @property
-    def _polarity(self) -> int:
-        return -1 if self.store.number((0x607E, 0)) & POLARITY_POSITION else 1
-
     def counts_at(self, joint_rad: float) -> int:
         """Return the position [counts] at a joint angle; the cell's zero offset is subtracted first."""
-        return round((joint_rad - self.spec.zero_offset_rad) * self.counts_per_joint_rad)
+        return round((joint_rad - self.spec.zero_offset_rad) * self.motion.counts_per_joint_rad)
 
     def position_counts(self) -> int:
         """Return the position actual value (0x6064)."""
-        return self._polarity * round(self.axis.position_rad * self.counts_per_joint_rad)
+        return self.motion.polarity * round(self.axis.position_rad * self.motion.counts_per_joint_rad)
 
     def demand_counts(self) -> int:
         """Return the position demand value (0x6062)."""
-        return self._polarity * round(self.axis.servo.reference_rad * self.counts_per_joint_rad)
+        return self.motion.polarity * round(self.axis.servo.reference_rad * self.motion.counts_per_joint_rad)
 
     def following_error_counts(self) -> int:
         """Return the following error actual value (0x60F4)."""
-        return self._polarity * round(self.axis.servo.error_rad * self.counts_per_joint_rad)
-
-    def take_target(self, counts: int) -> None:
-        """Set the target position (0x607A)."""
-        self.target_counts = counts
-        self.motion.target_set()
-
-    def target_rad(self) -> float:
-        """Return the target at the gear output, clipped to the software limits (0x607D; both 0 = no limits) [rad]."""
-        counts = self.target_counts
-        low, high = self.store.number((0x607D, 1)), self.store.number((0x607D, 2))
-        if low != 0 or high != 0:
-            counts = min(max(counts, low), high)
-        self.motion.target_limited = counts != self.target_counts
-        return self._polarity * counts / self.counts_per_joint_rad
+        return self.motion.polarity * round(self.axis.servo.error_rad * self.motion.counts_per_joint_rad)
 
     def _speed_word(self, joint_rad_s: float) -> int:
         motor = self.spec.position_sign * self.spec.gear_ratio * joint_rad_s
-        return self._polarity * round(motor * self.units.velocity.bits_per_unit)
+        return self.motion.polarity * round(motor * self.units.velocity.bits_per_unit)
 
     def velocity_word(self) -> int:
         """Return the velocity actual value (0x606C)."""
@@ -310,21 +273,6 @@ class FakeDrive(Device):
     def demand_velocity(self) -> int:
         """Return the velocity demand value (0x606B)."""
         return self._speed_word(self.axis.servo.reference_step_rad * 1000.0)
-
-    def joint_speed(self, word: int) -> float:
-        """Convert an unsigned velocity value of the drive to a joint speed [rad/s]."""
-        return word / (self.units.velocity.bits_per_unit * abs(self.spec.gear_ratio))
-
-    def joint_ramp(self, word: int) -> float:
-        """Convert an unsigned acceleration value of the drive to a joint acceleration [rad/s2]."""
-        bits = self.units.ramp_bits or self.units.velocity.bits_per_unit
-        return word / (bits * abs(self.spec.gear_ratio))
-
-    def take_velocity_offset(self, value: int) -> None:
-        """Set the velocity offset (0x60B1)."""
-        self.velocity_offset = value
-        motor = value / self.units.velocity.bits_per_unit
-        self.axis.servo.offset_rad_s = self._polarity * motor / (self.spec.position_sign * self.spec.gear_ratio)
 
     def _motor_nm(self, joint_nm: float) -> float:
         """Convert a torque at the gear output to the motor torque with the drive's sign [Nm]."""
@@ -341,24 +289,6 @@ class FakeDrive(Device):
     def standard_current_word(self) -> int:
         """Return the current actual value (0x6078) in per mille of 0x6075."""
         return round(self._motor_nm(self.reading_nm) * 1000.0 / self.units.rated_torque_nm)
-
-    def _joint_nm(self, word: int) -> float:
-        return word * self.units.offset_nm_per_bit * self.spec.torque_sign * self.spec.gear_ratio
-
-    def take_torque_offset(self, word: int) -> None:
-        """Set the torque offset (0x60B2)."""
-        self.torque_offset = word
-        self.motion.feed_torque()
-
-    def take_target_torque(self, word: int) -> None:
-        """Set the target torque (0x6071)."""
-        self.target_torque = word
-        self.motion.feed_torque()
-
-    def demanded_nm(self) -> float:
-        """Return the torque feedforward at the gear output; in CST this is the whole torque demand [Nm]."""
-        word = self.torque_offset + (self.target_torque if self.mode == 10 else 0)
-        return self._joint_nm(word)
 
     def take_max_torque(self, word: int) -> None:
         """Set the maximum torque (0x6072), in per mille of the rated torque."""
@@ -449,8 +379,8 @@ def _state_objects(drive: FakeDrive) -> None:
     store.parameter((0x605C, 0), "i16", 0, _one_of(0, 1))
     store.parameter((0x605D, 0), "i16", 1, _one_of(1, 2))
     store.parameter((0x605E, 0), "i16", 2, _one_of(0, 1, 2))
-    store.live((0x6060, 0), "i8", lambda: drive.mode, drive.take_mode)
-    store.live((0x6061, 0), "i8", lambda: drive.mode)
+    store.live((0x6060, 0), "i8", lambda: drive.motion.mode, drive.motion.take_mode)
+    store.live((0x6061, 0), "i8", lambda: drive.motion.mode)
     modes = sum(1 << bit for bit in MODES.values())
     store.constant((0x6502, 0), "u32", SUPPORTED_MODES.get(str(drive.spec.profile.get("name")), modes))
     store.constant((0x6402, 0), "u16", 10)
@@ -462,7 +392,7 @@ def _state_objects(drive: FakeDrive) -> None:
 
 def _motion_objects(drive: FakeDrive) -> None:
     store, axis, units = drive.store, drive.spec, drive.units
-    window = abs(round(FOLLOWING_WINDOW_RAD * drive.counts_per_joint_rad))
+    window = abs(round(FOLLOWING_WINDOW_RAD * drive.motion.counts_per_joint_rad))
     speed = axis.speed_limit_rad_s * abs(axis.gear_ratio)
     bits = units.velocity.bits_per_unit
     store.live((0x6062, 0), "i32", drive.demand_counts)
@@ -474,7 +404,7 @@ def _motion_objects(drive: FakeDrive) -> None:
     store.parameter((0x6068, 0), "u16", 50)
     store.live((0x606B, 0), "i32", drive.demand_velocity)
     store.live(units.velocity.address, units.velocity.type, drive.velocity_word)
-    store.live((0x607A, 0), "i32", lambda: drive.target_counts, drive.take_target)
+    store.live((0x607A, 0), "i32", lambda: drive.motion.target_counts, drive.motion.take_target)
     store.constant((0x607C, 0), "i32", 0)
     low, high = axis.position_limit_rad
     ends = [drive.counts_at(low - LIMIT_MARGIN_RAD), drive.counts_at(high + LIMIT_MARGIN_RAD)]
@@ -492,7 +422,7 @@ def _motion_objects(drive: FakeDrive) -> None:
     store.constant((0x6091, 0), "u8", 2)
     store.constant((0x6091, 1), "u32", 1)
     store.constant((0x6091, 2), "u32", 1)
-    store.live((0x60B1, 0), "i32", lambda: drive.velocity_offset, drive.take_velocity_offset)
+    store.live((0x60B1, 0), "i32", lambda: drive.motion.velocity_offset, drive.motion.take_velocity_offset)
     store.constant((0x60C2, 0), "u8", 2)
     store.parameter((0x60C2, 1), "u8", max(1, round(drive.sync_period_s * 1000.0)))
     store.parameter((0x60C2, 2), "i8", -3, _one_of(-3, -2, -1, 0))
@@ -501,13 +431,13 @@ def _motion_objects(drive: FakeDrive) -> None:
 
 def _torque_objects(drive: FakeDrive) -> None:
     store, units = drive.store, drive.units
-    store.live((0x6071, 0), "i16", lambda: drive.target_torque, drive.take_target_torque)
+    store.live((0x6071, 0), "i16", lambda: drive.motion.target_torque, drive.motion.take_target_torque)
     store.parameter((0x6072, 0), "u16", MAX_TORQUE_PER_MILLE, drive.take_max_torque)
     store.parameter((0x6073, 0), "u16", MAX_TORQUE_PER_MILLE)
     store.live((0x6074, 0), "i16", drive.demand_word)
     store.live((0x6077, 0), "i16", drive.demand_word)
     store.live((0x6078, 0), "i16", drive.standard_current_word)
-    store.live((0x60B2, 0), "i16", lambda: drive.torque_offset, drive.take_torque_offset)
+    store.live((0x60B2, 0), "i16", lambda: drive.motion.torque_offset, drive.motion.take_torque_offset)
     seen: set[int] = set()
     for (index, sub), (type_, value) in units.constants.items():
         store.constant((index, sub), type_, value)

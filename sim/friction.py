@@ -31,22 +31,6 @@ class JointFriction:
     stuck_s : time since the joint came to rest, or to a crawl [s]; 0 while it moves
     """
 
-    __slots__ = (
-        "_creep",
-        "_middle",
-        "_random",
-        "_scale",
-        "_spread",
-        "bias_nm",
-        "coulomb_nm",
-        "creep_rad_s",
-        "load_friction",
-        "scatter",
-        "stiction_nm",
-        "stuck_s",
-        "viscous_nm_s_rad",
-    )
-
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
         self.coulomb_nm = self.stiction_nm = self.viscous_nm_s_rad = 0.0

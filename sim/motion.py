@@ -10,15 +10,21 @@ position (0x607A) and no queue; without a new one the reference is extrapolated.
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from collections.abc import Callable
+
+from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.cellfile import AxisSpec
-from sim.motor import MotorAxis
-from sim.objects import ObjectStore
+from sim.makes import DriveUnits
+from sim.motor import Motor
+from sim.objects import VALUE_RANGE, ObjectStore
 from sim.servo import TICK_S
 from sim.states import Automaton, PdsState
 
 PP, CSP, CST = 1, 8, 10
+#: Modes of operation (0x6060), and their bits of 0x6502.
+MODES = {PP: 0, CSP: 7, CST: 9}
+POLARITY_POSITION = 0x80
 NEW_SET_POINT, RELATIVE, HALT = 1 << 4, 1 << 6, 1 << 8
 TARGET_REACHED, INTERNAL_LIMIT, MODE_SPECIFIC, FOLLOWING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 13
 EMCY_FOLLOWING = 0x8611
@@ -36,45 +42,23 @@ CLOCK_PULL, CLOCK_DRAW = 0.01, 0.03
 MISSED_UNTIL_REST = 2
 
 
-class MovingDrive(Protocol):
-    """Interface of a drive used by its motion control."""
-
-    spec: AxisSpec
-    store: ObjectStore
-    axis: MotorAxis
-    automaton: Automaton
-    mode: int
-    error_code: int
-
-    def target_rad(self) -> float:
-        """Return the target position at the gear output, clipped to the software limits [rad]."""
-        ...
-
-    def demanded_nm(self) -> float:
-        """Return the torque feedforward at the gear output; in CST this is the whole demand [Nm]."""
-        ...
-
-    def joint_speed(self, word: int) -> float:
-        """Convert an unsigned velocity value to a joint speed [rad/s]."""
-        ...
-
-    def joint_ramp(self, word: int) -> float:
-        """Convert an unsigned acceleration value to a joint acceleration [rad/s2]."""
-        ...
-
-    def following_error_counts(self) -> int:
-        """Return the following error actual value (0x60F4)."""
-        ...
-
-    def raise_fault(self, code: int) -> None:
-        """Send an EMCY, then start the fault reaction."""
-
-
 class DriveMotion:
-    """Reference generator and monitor of one drive.
+    """Setpoints, reference generator and monitor of one drive.
+
+    Parameters
+    ----------
+    spec : axis of the cell that the drive moves
+    units : scaling of its objects
+    store : its objects
+    axis : its motor
+    automaton : its state machine
+    raise_fault : sends an EMCY with an error code, then starts the fault reaction
 
     Attributes
     ----------
+    counts_per_joint_rad : of the position at the gear output, with the sign of the cell
+    mode : 0x6060 (0 none, 1 PP, 8 CSP, 10 CST)
+    target_counts, velocity_offset, torque_offset, target_torque : setpoints as received
     target_limited : the target position was cut by a software limit
     brake_stuck : the holding brake does not open
     wobble : amplitude [rad] and frequency [Hz] of a loop that hunts and never comes to rest
@@ -82,8 +66,19 @@ class DriveMotion:
     brake_closing_s : time that the brake takes to close after the motor of a standing axis is off [s]
     """
 
-    def __init__(self, drive: MovingDrive) -> None:
-        self._drive = drive
+    def __init__(
+        self,
+        spec: AxisSpec,
+        units: DriveUnits,
+        store: ObjectStore,
+        axis: Motor,
+        automaton: Automaton,
+        raise_fault: Callable[[int], None],
+    ) -> None:
+        self._spec, self._units, self._store, self._axis = spec, units, store, axis
+        self._automaton, self._raise_fault = automaton, raise_fault
+        self.counts_per_joint_rad = spec.position_sign * spec.gear_ratio * units.counts_per_rad
+        self.mode = self.target_counts = self.velocity_offset = self.torque_offset = self.target_torque = 0
         self.target_limited = False
         self.brake_stuck = False
         self.wobble: tuple[float, float] | None = None
@@ -107,22 +102,87 @@ class DriveMotion:
         self._lag_since: float | None = None
         self._time_s = 0.0
 
+    # --------------------------------------------------------------------------------------------------- setpoints
+
+    @property
+    def polarity(self) -> int:
+        """Return the sign of positions and speeds (0x607E)."""
+        return -1 if self._store.number((0x607E, 0)) & POLARITY_POSITION else 1
+
+    def reset(self, mode: int) -> None:
+        """Set the mode, and targets and offsets to their values at power-up."""
+        self.mode, self.torque_offset, self.target_torque = mode, 0, 0
+        self.take_velocity_offset(0)
+        self.target_counts = self.polarity * round(self._axis.position_rad * self.counts_per_joint_rad)
+
+    def take_mode(self, value: int) -> None:
+        """Set the mode of operation (0x6060); if enabled, it starts from the present reference."""
+        if value not in MODES and value != 0:
+            raise SdoAbortedError(VALUE_RANGE)
+        self.mode = value
+        self._pp_goal = None
+        self.feed_torque()
+
+    def take_target(self, counts: int) -> None:
+        """Set the target position (0x607A), to be reached within the interpolation period (0x60C2)."""
+        self.target_counts = counts
+        if self.buffered:
+            if self._missed > MISSED_UNTIL_REST and self._waiting_rad is None:  # the clock is unused: set it
+                self._left_s = 0.5 * self.period_s()
+            self._waiting_rad, self._since_s = self.target_rad(), 0.0
+        else:
+            self._left_s = self.period_s()
+
+    def target_rad(self) -> float:
+        """Return the target at the gear output, clipped to the software limits (0x607D; both 0 = no limits) [rad]."""
+        counts = self.target_counts
+        low, high = self._store.number((0x607D, 1)), self._store.number((0x607D, 2))
+        if low != 0 or high != 0:
+            counts = min(max(counts, low), high)
+        self.target_limited = counts != self.target_counts
+        return self.polarity * counts / self.counts_per_joint_rad
+
+    def joint_speed(self, word: int) -> float:
+        """Convert an unsigned velocity value of the drive to a joint speed [rad/s]."""
+        return word / (self._units.velocity.bits_per_unit * abs(self._spec.gear_ratio))
+
+    def joint_ramp(self, word: int) -> float:
+        """Convert an unsigned acceleration value of the drive to a joint acceleration [rad/s2]."""
+        bits = self._units.ramp_bits or self._units.velocity.bits_per_unit
+        return word / (bits * abs(self._spec.gear_ratio))
+
+    def take_velocity_offset(self, value: int) -> None:
+        """Set the velocity offset (0x60B1)."""
+        self.velocity_offset = value
+        motor = value / self._units.velocity.bits_per_unit
+        self._axis.servo.offset_rad_s = self.polarity * motor / (self._spec.position_sign * self._spec.gear_ratio)
+
+    def take_torque_offset(self, word: int) -> None:
+        """Set the torque offset (0x60B2)."""
+        self.torque_offset = word
+        self.feed_torque()
+
+    def take_target_torque(self, word: int) -> None:
+        """Set the target torque (0x6071)."""
+        self.target_torque = word
+        self.feed_torque()
+
     # ------------------------------------------------------------------------------------------------------ states
 
     def state_changed(self, before: PdsState) -> None:
         """React to a transition, or to a controlword within OPERATION ENABLED."""
-        drive, state = self._drive, self._drive.automaton.state
-        leaves = before is PdsState.OPERATION_ENABLED and drive.axis.fed and state in LEAVING
-        if leaves and drive.store.number(LEAVING[state]) == 1:  # first the ramp, then the transition
-            self._then, drive.automaton.state = state, before
+        state = self._automaton.state
+        leaves = before is PdsState.OPERATION_ENABLED and self._axis.fed and state in LEAVING
+        if leaves and self._store.number(LEAVING[state]) == 1:  # first the ramp, then the transition
+            self._then, self._automaton.state = state, before
             return
         self._then = None
-        if state in STOPPING and state is not before and drive.store.number(STOPPING[state]) == 0:
-            drive.automaton.stopped()
+        if state in STOPPING and state is not before and self._store.number(STOPPING[state]) == 0:
+            self._automaton.stopped()
         self._entered(before)
 
     def _entered(self, before: PdsState) -> None:
-        drive, state = self._drive, self._drive.automaton.state
+        state = self._automaton.state
         if state is PdsState.OPERATION_ENABLED:
             if before is not PdsState.OPERATION_ENABLED:
                 self._release_s = self._time_s + self._brake_delay_s()
@@ -130,7 +190,7 @@ class DriveMotion:
                 self._unlock()
                 self._pp_goal, self._acknowledged = None, False
             self._handshake()
-        elif not drive.automaton.energised:
+        elif not self._automaton.energised:
             self._disable()
 
     def _unlock(self) -> None:
@@ -138,11 +198,11 @@ class DriveMotion:
         self._waiting_rad, self._left_s, self._missed = None, 0.0, MISSED_UNTIL_REST + 1
 
     def _brake_delay_s(self) -> float:
-        return float(self._drive.spec.profile.get("state_machine", {}).get("brake_delay_s", 0.0))
+        return float(self._spec.profile.get("state_machine", {}).get("brake_delay_s", 0.0))
 
     def _disable(self) -> None:
         """Disable the drive function: a standing axis is handed to its brake, a moving one coasts until it falls in."""
-        axis = self._drive.axis
+        axis = self._axis
         self._release_s = None
         self._speed = self._stopping_s = 0.0
         if axis.fed and (self.brake_closing_s or abs(axis.omega_rad_s) > STANDSTILL_RAD_S):
@@ -151,27 +211,22 @@ class DriveMotion:
         elif self._lock_s is None:
             axis.lock()
 
-    def mode_changed(self) -> None:
-        """Apply a new mode; if enabled, it starts from the present reference."""
-        self._pp_goal = None
-        self.feed_torque()
-
     def feed_torque(self) -> None:
-        """Apply the torque offset or torque demand to the servo loop."""
-        drive = self._drive
-        drive.axis.servo.offset_nm = drive.demanded_nm()
-        drive.axis.servo.torque_only = drive.mode == CST and drive.automaton.state is PdsState.OPERATION_ENABLED
+        """Apply the torque offset, in CST the whole torque demand, to the servo loop."""
+        servo, spec = self._axis.servo, self._spec
+        word = self.torque_offset + (self.target_torque if self.mode == CST else 0)
+        servo.offset_nm = word * self._units.offset_nm_per_bit * spec.torque_sign * spec.gear_ratio
+        servo.torque_only = self.mode == CST and self._automaton.state is PdsState.OPERATION_ENABLED
 
     def _handshake(self) -> None:
         """Process the profile position handshake: rising bit 4 accepts the setpoint, bit 12 acknowledges it."""
-        drive = self._drive
-        if drive.mode != PP:
+        if self.mode != PP:
             return
-        wanted = bool(drive.automaton.controlword & NEW_SET_POINT)
+        wanted = bool(self._automaton.controlword & NEW_SET_POINT)
         if wanted and not self._acknowledged:
-            goal = drive.target_rad()
-            if drive.automaton.controlword & RELATIVE:
-                goal += drive.axis.servo.reference_rad
+            goal = self.target_rad()
+            if self._automaton.controlword & RELATIVE:
+                goal += self._axis.servo.reference_rad
             self._pp_goal, self._reached_since = goal, None
         self._acknowledged = wanted
 
@@ -179,46 +234,46 @@ class DriveMotion:
 
     def plan(self, ticks: float) -> None:
         """Set the increments of the reference for the milliseconds to come."""
-        drive, state = self._drive, self._drive.automaton.state
-        if not drive.automaton.energised:
+        state = self._automaton.state
+        if not self._automaton.energised:
             if self._lock_s is not None and self._time_s >= self._lock_s:
                 self._lock_s = None
-                drive.axis.lock()
+                self._axis.lock()
             return
-        if not drive.axis.fed:
+        if not self._axis.fed:
             open_ = self._release_s is not None and not self.brake_stuck
             # the motor holds an axis before the brake has opened: that is seen where the brake does not hold it
-            open_ = open_ and (drive.axis.falls or self._time_s >= (self._release_s or 0.0))
-            if open_ and drive.mode:
-                drive.axis.release()
+            open_ = open_ and (self._axis.falls or self._time_s >= (self._release_s or 0.0))
+            if open_ and self.mode:
+                self._axis.release()
                 self._unlock()
                 self.feed_torque()
             elif state is not PdsState.OPERATION_ENABLED:
-                drive.automaton.stopped()
+                self._automaton.stopped()
                 self.state_changed(state)
             return
         seconds = ticks * TICK_S
         if state is not PdsState.OPERATION_ENABLED:
-            gentle = drive.store.number(STOPPING[state]) in (1, 5)
+            gentle = self._store.number(STOPPING[state]) in (1, 5)
             self._move(self._ramp_down(seconds, SLOW_DOWN_RAMP if gentle else QUICK_STOP_RAMP), ticks)
             return
         if self._then is not None:
             self._move(self._ramp_down(seconds, SLOW_DOWN_RAMP), ticks)
             return
-        if drive.mode == PP and (self._pp_goal is None or drive.automaton.controlword & HALT):
-            quick = drive.store.number(HALT_OPTION) == 2
+        if self.mode == PP and (self._pp_goal is None or self._automaton.controlword & HALT):
+            quick = self._store.number(HALT_OPTION) == 2
             self._move(self._ramp_down(seconds, QUICK_STOP_RAMP if quick else SLOW_DOWN_RAMP), ticks)
             return
         self._speed = self._move(self._commanded(seconds), ticks)
 
     def _commanded(self, seconds: float) -> float:
         """Return the movement [rad] commanded by the master in its mode."""
-        drive, servo = self._drive, self._drive.axis.servo
-        if drive.mode == CSP:
+        servo = self._axis.servo
+        if self.mode == CSP:
             return self._track(seconds)
-        if drive.mode == PP:
+        if self.mode == PP:
             return self._profile(seconds)
-        servo.reference_rad = drive.axis.position_rad
+        servo.reference_rad = self._axis.position_rad
         return 0.0
 
     def _move(self, travel_rad: float, ticks: float) -> float:
@@ -226,21 +281,12 @@ class DriveMotion:
         seconds = ticks * TICK_S
         self.feed_torque()
         travel = travel_rad + self._hunting(seconds)
-        self._drive.axis.servo.reference_step_rad = travel / ticks
+        self._axis.servo.reference_step_rad = travel / ticks
         return travel / seconds
-
-    def target_set(self) -> None:
-        """Process a new target position, to be reached within the interpolation period (0x60C2)."""
-        if self.buffered:
-            if self._missed > MISSED_UNTIL_REST and self._waiting_rad is None:  # the clock is unused: set it
-                self._left_s = 0.5 * self.period_s()
-            self._waiting_rad, self._since_s = self._drive.target_rad(), 0.0
-        else:
-            self._left_s = self.period_s()
 
     def period_s(self) -> float:
         """Return the interpolation period (0x60C2) [s]."""
-        store = self._drive.store
+        store = self._store
         return store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
 
     def _by_own_clock(self, seconds: float) -> float:
@@ -248,7 +294,7 @@ class DriveMotion:
 
         Without one the axis continues for a period, as drives do that extrapolate, then slows down to a stop.
         """
-        at = self._drive.axis.servo.reference_rad - self._wobbled
+        at = self._axis.servo.reference_rad - self._wobbled
         begin, period_s = at, self.period_s()
         while seconds > 1e-9:
             if self._left_s <= 1e-9:
@@ -277,16 +323,13 @@ class DriveMotion:
 
     def _track(self, seconds: float) -> float:
         """Return the movement in CSP: the remaining distance, evenly over the remaining period."""
-        drive = self._drive
         if self.buffered:
             travel = self._by_own_clock(seconds)
-            most = drive.axis.servo.max_rad_s * seconds
-            self.target_limited |= abs(travel) > most
-            return min(max(travel, -most), most)
-        way = drive.target_rad() + self._wobbled - drive.axis.servo.reference_rad
-        travel = way * seconds / self._left_s if self._left_s > seconds else way
-        self._left_s = max(self._left_s - seconds, 0.0)
-        most = drive.axis.servo.max_rad_s * seconds
+        else:
+            way = self.target_rad() + self._wobbled - self._axis.servo.reference_rad
+            travel = way * seconds / self._left_s if self._left_s > seconds else way
+            self._left_s = max(self._left_s - seconds, 0.0)
+        most = self._axis.servo.max_rad_s * seconds
         self.target_limited |= abs(travel) > most
         return min(max(travel, -most), most)
 
@@ -300,32 +343,30 @@ class DriveMotion:
 
     def _profile(self, seconds: float) -> float:
         """Return the movement in profile position mode: trapezoid of 0x6081, 0x6083, 0x6084."""
-        drive = self._drive
-        goal = drive.axis.servo.reference_rad if self._pp_goal is None else self._pp_goal
-        way = goal - drive.axis.servo.reference_rad
-        top = drive.joint_speed(drive.store.number((0x6081, 0)))
-        up, down = (drive.joint_ramp(drive.store.number((index, 0))) for index in (0x6083, 0x6084))
+        goal = self._axis.servo.reference_rad if self._pp_goal is None else self._pp_goal
+        way = goal - self._axis.servo.reference_rad
+        top = self.joint_speed(self._store.number((0x6081, 0)))
+        up, down = (self.joint_ramp(self._store.number((index, 0))) for index in (0x6083, 0x6084))
         speed = min(top, abs(self._speed) + up * seconds, math.sqrt(2.0 * down * abs(way)))
         travel = math.copysign(min(speed * seconds, abs(way)), way)
         return way if abs(way - travel) < 1e-9 else travel
 
     def _ramp_down(self, seconds: float, index: int) -> float:
         """Stop with the deceleration of an object; notify the state machine when the reference is at rest."""
-        drive = self._drive
-        rate = drive.joint_ramp(drive.store.number((index, 0)))
+        rate = self.joint_ramp(self._store.number((index, 0)))
         slower = max(abs(self._speed) - rate * seconds, 0.0)
         travel = math.copysign(0.5 * (abs(self._speed) + slower) * seconds, self._speed)
         self._speed = math.copysign(slower, self._speed)
         self._stopping_s = self._stopping_s + seconds if slower == 0.0 else 0.0
-        still = slower == 0.0 and abs(drive.axis.omega_rad_s) < STANDSTILL_RAD_S
-        stops = self._then is not None or drive.automaton.state is not PdsState.OPERATION_ENABLED
+        still = slower == 0.0 and abs(self._axis.omega_rad_s) < STANDSTILL_RAD_S
+        stops = self._then is not None or self._automaton.state is not PdsState.OPERATION_ENABLED
         if stops and (still or self._stopping_s > STOP_TIMEOUT_S):
             self._stopped()
         return travel
 
     def _stopped(self) -> None:
         """End the transition that waits for the axis to be at rest."""
-        automaton = self._drive.automaton
+        automaton = self._automaton
         before = automaton.state
         if self._then is not None:
             automaton.state, self._then = self._then, None
@@ -338,39 +379,37 @@ class DriveMotion:
     def supervise(self, time_s: float) -> None:
         """Monitor the following error and the target reached condition."""
         self._time_s = time_s
-        drive = self._drive
-        if not drive.axis.fed or drive.mode == CST:
+        if not self._axis.fed or self.mode == CST:
             self._lag_since = None
             return
-        error = abs(drive.following_error_counts())
-        if error > drive.store.number((0x6065, 0)):
+        error = abs(round(self._axis.servo.error_rad * self.counts_per_joint_rad))
+        if error > self._store.number((0x6065, 0)):
             self._lag_since = time_s if self._lag_since is None else self._lag_since
-            if time_s - self._lag_since >= drive.store.number((0x6066, 0)) * 1e-3:
-                drive.raise_fault(EMCY_FOLLOWING)
+            if time_s - self._lag_since >= self._store.number((0x6066, 0)) * 1e-3:
+                self._raise_fault(EMCY_FOLLOWING)
         else:
             self._lag_since = None
-        at_goal = self._pp_goal is not None and abs(self._pp_goal - drive.axis.servo.reference_rad) < 1e-9
-        if at_goal and error <= drive.store.number((0x6067, 0)):
+        at_goal = self._pp_goal is not None and abs(self._pp_goal - self._axis.servo.reference_rad) < 1e-9
+        if at_goal and error <= self._store.number((0x6067, 0)):
             self._reached_since = time_s if self._reached_since is None else self._reached_since
         else:
             self._reached_since = None
 
-    def status_bits(self) -> int:
-        """Return bits 10 to 13 of the statusword."""
-        drive = self._drive
+    def status_bits(self, error_code: int) -> int:
+        """Return bits 10 to 13 of the statusword, for the value of 0x603F."""
         bits = 0
-        if drive.automaton.state is PdsState.OPERATION_ENABLED:
-            if self.target_limited or drive.axis.servo.limited:
+        if self._automaton.state is PdsState.OPERATION_ENABLED:
+            if self.target_limited or self._axis.servo.limited:
                 bits |= INTERNAL_LIMIT
-            if drive.mode == PP:
+            if self.mode == PP:
                 bits |= MODE_SPECIFIC if self._acknowledged else 0
-                wait = drive.store.number((0x6068, 0)) * 1e-3
+                wait = self._store.number((0x6068, 0)) * 1e-3
                 if self._reached_since is not None and self._time_s - self._reached_since >= wait:
                     bits |= TARGET_REACHED
-            elif drive.axis.fed or self.brake_stuck:  # a drive does not notice that its brake falls in
+            elif self._axis.fed or self.brake_stuck:  # a drive does not notice that its brake falls in
                 bits |= MODE_SPECIFIC
             if self._lag_since is not None:
                 bits |= FOLLOWING_ERROR
-        elif drive.error_code == EMCY_FOLLOWING:
+        elif error_code == EMCY_FOLLOWING:
             bits |= FOLLOWING_ERROR
         return bits

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from sim.cellfile import ArmSpec
 from sim.engine import Engine
 from sim.friction import JointFriction
-from sim.motor import MotorAxis
+from sim.motor import AMBIENT_C, MotorAxis
 from sim.plant import Payload, Plant
-from sim.reading_effects import AMBIENT_C
 from sim.servo import TICK_S
 from sim.tuning import Coupling, coupling, coupling_at_once, servo_loops
 from sim.urdf import SimBody, SimChain, combine

@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -160,14 +160,15 @@ def _in_thread(cell_path: Path, options: ServeOptions) -> Generator[RunningSimul
 
 
 def command(cell_path: Path, options: ServeOptions) -> list[str]:
-    """Command line of `servo-sim serve` with the same options, but for the seed of the noise."""
+    """Command line of `servo-sim serve` with the same options."""
     words = [sys.executable, "-m", "sim", "serve", str(cell_path)]
-    for key, value in asdict(replace(options, noise_seed=None)).items():
+    for key, value in asdict(options).items():
         for one in value if isinstance(value, tuple) else (value,):
+            option = "--" + key.replace("_", "-")
             if one is True:
-                words.append(f"--{key}")
+                words.append(option)
             elif one is not None and one is not False:
-                words += [f"--{key}", str(one)]
+                words += [option, str(one)]
     return words
 
 

@@ -48,24 +48,6 @@ class ServoLoop:
     limited : the torque limit acts
     """
 
-    __slots__ = (
-        "_integral_nm",
-        "_ki",
-        "_lag",
-        "demand_nm",
-        "error_rad",
-        "gains",
-        "limited",
-        "max_nm",
-        "max_rad_s",
-        "offset_nm",
-        "offset_rad_s",
-        "reference_rad",
-        "reference_step_rad",
-        "torque_only",
-        "u_nm",
-    )
-
     def __init__(self, gains: ServoGains, max_nm: float, max_rad_s: float) -> None:
         self.gains = gains
         self.max_nm, self.max_rad_s = max_nm, max_rad_s

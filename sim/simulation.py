@@ -20,7 +20,7 @@ from sim.faults import KINDS, FaultError, act, read_faults
 from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
 from sim.offline import point_jacobian
-from sim.pair.cell import PairOptions, pair_units
+from sim.pair.cell import pair_units
 from sim.pair.two_arms import TwoArms
 from sim.plant import Payload
 from sim.server import ArmUnit, BusServer, Unit, can_be_waited_for, serve_together
@@ -74,6 +74,12 @@ class ServeOptions:
 class Simulation:
     """Simulated drives, ready to run.
 
+    Parameters
+    ----------
+    cell_path : cell file
+    options : see `ServeOptions`
+    **pair : of two arms, what to change about them (`sim.pair.cell.pair_units`)
+
     Attributes
     ----------
     cell : what was read
@@ -84,7 +90,7 @@ class Simulation:
     records : of frames and motion, one for each bus, if wanted
     """
 
-    def __init__(self, cell_path: Path, options: ServeOptions, pair: PairOptions | None = None) -> None:
+    def __init__(self, cell_path: Path, options: ServeOptions, **pair: Any) -> None:
         self.cell = _paced(read_cell(cell_path), options.pacing)
         self.loads: dict[str, Payload] = read_payloads(options.payload) if options.payload else {}
         self.effects, self._build_seed = _undeclared(options)
@@ -92,7 +98,7 @@ class Simulation:
         faults = [fault for wanted in options.fault for fault in read_faults(wanted)]
         _check_nodes(faults, self.cell)
         self._pair: TwoArms | None = None
-        units = self._units(pair or PairOptions(options.seed))
+        units = self._units(pair)
         self.specs = _bus_specs(self.cell, options.bus)
         self.servers: list[BusServer] = []
         if options.truth is not None:
@@ -108,10 +114,10 @@ class Simulation:
             for drive in server.drives:
                 drive.motion.buffered = False
 
-    def _units(self, pair: PairOptions) -> Mapping[str, Unit]:
+    def _units(self, pair: Mapping[str, Any]) -> Mapping[str, Unit]:
         if self.cell.pair is None:
             return {arm.name: self._unit(index) for index, arm in enumerate(self.cell.arms)}
-        units = pair_units(self.cell, pair)
+        units = pair_units(self.cell, self._options.seed, **pair)
         self._pair = next(iter(units.values())).world
         return units
 

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blind import LEAST_STRENGTH, scaled, wanted_strength
+from sim.blind import LEAST_STRENGTH, applies, planned, scaled, wanted_strength
 from sim.cellfile import ArmSpec
 from sim.draw import DrawnArm, choose_poses, prior_std
 from sim.draw_effects import MAKERS, Effect
-from sim.offline import PlannedVisit, Protocol, half_floor
+from sim.offline import Protocol, half_floor
 from sim.plant import Payload, Plant
 from sim.units import OVERLOAD
 
@@ -30,9 +30,7 @@ POSES = 10
 SAMPLES = 100
 #: Time from one visit to the next, and while a load is mounted: typical of a recording at the cell's speeds.
 VISIT_S, CHANGE_S = 9.0, 6.0
-MISTAKES = frozenset({"sign_reversed", "axes_swapped", "current_rms_peak"})
-#: A common scale shows against a weighed load alone, which the cell file does not name.
-NEVER = frozenset({"torque_constant_scale_common"})
+LOADED_S = POSES * VISIT_S + CHANGE_S
 TOOL = "tool"
 
 
@@ -59,8 +57,9 @@ def draw_undeclared(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload], se
     if count == 0:
         return []
     drawn = _as_drawn(arm, plant, loads)
-    visits = _visits(drawn, rng)
-    names = [name for name in MAKERS if _applies(name, drawn, count)]
+    starts_s = {"none": 0.0} | ({TOOL: LOADED_S} if drawn.loads else {})
+    visits = planned(choose_poses(drawn, POSES, rng), starts_s, VISIT_S)
+    names = [name for name in MAKERS if applies(name, drawn, two=count > 1)]
     effects: list[Effect] = []
     for name in rng.permutation(names)[:DRAWS]:
         effect, strength = scaled(drawn, visits, MAKERS[str(name)], wanted_strength(rng), rng)
@@ -71,19 +70,12 @@ def draw_undeclared(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload], se
     return effects
 
 
-def _applies(name: str, drawn: DrawnArm, count: int) -> bool:
-    if name in NEVER or (count > 1 and name in MISTAKES):
-        return False
-    return name != "payload_shift" or TOOL in drawn.loads
-
-
 def _as_drawn(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload]) -> DrawnArm:
     """The arm of a cell file in the form of a drawn one."""
     low, high = np.array([axis.position_limit_rad for axis in arm.axes]).T
     rated = np.array([axis.torque_limit_nm for axis in arm.axes]) / OVERLOAD
     # the friction of each motion scatters about its band: the spread of a uniform loss on [0, settle]
     protocol = Protocol(SAMPLES, settle=math.sqrt(12.0) * plant.friction_scatter, resolution_nm=1e-3 * rated)
-    loaded = POSES * VISIT_S + CHANGE_S
     return DrawnArm(
         chain=replace(arm.chain, lower_rad=low, upper_rad=high),
         urdf="",
@@ -95,14 +87,5 @@ def _as_drawn(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload]) -> Drawn
         gear_ratio=np.array([axis.gear_ratio for axis in arm.axes]),
         efficiency=np.array([axis.gear_efficiency for axis in arm.axes]),
         floor_nm=half_floor(plant, protocol),
-        shift_time_s=(loaded + 3.0 * VISIT_S, loaded + 7.0 * VISIT_S),
+        shift_time_s=(LOADED_S + 3.0 * VISIT_S, LOADED_S + 7.0 * VISIT_S),
     )
-
-
-def _visits(drawn: DrawnArm, rng: np.random.Generator) -> list[PlannedVisit]:
-    poses = choose_poses(drawn, POSES, rng)
-    visits = [PlannedVisit(number, "none", VISIT_S * number, q) for number, q in enumerate(poses)]
-    start = POSES * VISIT_S + CHANGE_S
-    if drawn.loads:
-        visits += [PlannedVisit(number, TOOL, start + VISIT_S * number, q) for number, q in enumerate(poses)]
-    return visits

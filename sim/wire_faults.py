@@ -87,7 +87,6 @@ class FaultyWire:
         self._bus, self._kinds = bus, kinds
         self._armed: list[Armed] = []
         self._due: list[tuple[float, can.Message]] = []
-        self._next_sync: list[can.Message] = []
         self._held: list[tuple[float, can.Message]] = []
         self._answers = [0, 0]
         self._lock = threading.RLock()
@@ -116,7 +115,6 @@ class FaultyWire:
         with self._lock:
             self._armed.clear()
             self._due.clear()
-            self._next_sync.clear()
             self._held.clear()
 
     def _start(self, armed: Armed) -> None:
@@ -181,8 +179,7 @@ class FaultyWire:
             self.sync += 1
             self.on_sync(self.sync)
             self._answers = [0, self._answers[0]]
-            late, self._next_sync = self._next_sync, []
-            late += [held for due_s, held in self._held if due_s <= self.now_s + HAIR_S]
+            late = [held for due_s, held in self._held if due_s <= self.now_s + HAIR_S]
             self._held = [(due_s, held) for due_s, held in self._held if due_s > self.now_s + HAIR_S]
             for held in late:
                 self.put(held)
@@ -242,7 +239,7 @@ class FaultyWire:
 
     def after_next_sync(self, frame: can.Message) -> None:
         """Send the frame when the next SYNC has come."""
-        self._next_sync.append(frame)
+        self._held.append((0.0, frame))
 
     @property
     def answers_per_sync(self) -> int:

@@ -133,7 +133,7 @@ def bound_n(rig: PairRig, drives: list[FakeDrive], delay_s: float) -> float:
     """
     world = rig.world
     speed = np.abs(world.motors.omega)
-    ramps = np.array([drive.joint_speed(drive.store.number((0x6085, 0))) for drive in drives])
+    ramps = np.array([drive.motion.joint_speed(drive.store.number((0x6085, 0))) for drive in drives])
     lag_s = np.asarray(world.motors.train.lag_s)
     distance = speed**2 / (2.0 * ramps) + speed * (lag_s + delay_s)
     lever_m = np.linalg.norm(world.part.at(world.q).jacobian[:3], axis=0)

@@ -150,7 +150,7 @@ class Rig:
             (
                 sync,
                 tuple(drive.automaton.state for drive in drives),
-                tuple(drive.target_counts for drive in drives),
+                tuple(drive.motion.target_counts for drive in drives),
                 tuple(drive.automaton.controlword for drive in drives),
             )
         )

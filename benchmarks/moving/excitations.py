@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from benchmarks.nature.moving_arm import MovingArm
 from gateway.excite.excitation import Series
-from sim.inverse import InverseDynamics
+from sim.engine import Engine
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def random_series(
     spare = 0.5 * (USED * (chain.upper_rad - chain.lower_rad) - scale * np.ptp(q, axis=0))
     middle = 0.5 * (chain.upper_rad + chain.lower_rad) + spare * rng.uniform(-1.0, 1.0, axes)
     centre = middle - scale * 0.5 * (q.max(axis=0) + q.min(axis=0))
-    with InverseDynamics(arm.carrying("tool"), arm.gravity_m_s2) as dynamics:
+    with Engine([arm.carrying("tool")], arm.gravity_m_s2) as dynamics:
         for _ in range(STEPS):
             torque = dynamics.torque_nm(centre + scale * q, scale * qd, scale * qdd)
             torque = torque + scale * qdd * arm.rotor_inertia_kg_m2

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.nature.moving_arm import SHORTEST_LINK_M, MovingArm
 from benchmarks.nature.moving_cell import PeriodicMotion, friction_nm
-from sim.inverse import InverseDynamics
+from sim.engine import Engine
 from sim.urdf import SimChain, write_chain
 
 Floats = NDArray[np.float64]
@@ -167,7 +167,7 @@ def _run(cell: Cell, label: str) -> _Run:
     arm, motion = cell.arm, cell.motion
     times = np.arange(motion.samples) / motion.rate_hz
     q, qd, qdd = (np.asarray(part) for part in motion.states(times)[:3])
-    with InverseDynamics(arm.carrying(label), arm.gravity_m_s2) as dynamics:
+    with Engine([arm.carrying(label)], arm.gravity_m_s2) as dynamics:
         tau = dynamics.torque_nm(q, qd, qdd)
     model = pinocchio.buildModelFromXML(write_chain(_free(arm.chain)))
     model.gravity.linear = arm.gravity_m_s2

@@ -16,7 +16,7 @@ from scipy.signal import lfilter, lfilter_zi, resample
 
 from benchmarks.nature.moving_arm import MovingArm
 from benchmarks.nature.moving_effects import MovingEffect
-from sim.inverse import InverseDynamics
+from sim.engine import Engine
 
 Array = NDArray[np.float64]
 #: times (n,) -> positions, speeds, accelerations (n, N) and further arrays, which are not used
@@ -79,7 +79,7 @@ def measure_moving(
     phase = np.tile(np.arange(count) / motion.rate_hz, motion.periods)
     period = np.repeat(np.arange(1, motion.periods + 1), count)
     return {
-        "run": np.array([f"{load}-{number}" for number in period]),
+        "run": np.full(len(drive), load),
         "load": np.full(len(drive), load),
         "time_s": start_s + drive,
         "q_rad": q,
@@ -130,7 +130,7 @@ def rigid_nm(arm: MovingArm, motion: PeriodicMotion, load: str) -> Array:
     coarse = max(int(np.ceil(RIGID_HZ * motion.period_s)), 8 * motion.harmonics)
     times = np.arange(coarse) * motion.period_s / coarse
     q, qd, qdd = (np.asarray(part) for part in motion.states(times)[:3])
-    with InverseDynamics(arm.carrying(load), arm.gravity_m_s2) as dynamics:
+    with Engine([arm.carrying(load)], arm.gravity_m_s2) as dynamics:
         return np.asarray(resample(dynamics.torque_nm(q, qd, qdd), motion.samples * FINE, axis=0))
 
 

@@ -19,7 +19,6 @@ from gateway.pair.pair_motion import PairMotionOptions
 from gateway.pair.pair_run import PairRun
 from gateway.pair.session import embodiment_of, one_relation
 from sim.measuring import FakeMeasuringDevice
-from sim.pair.cell import PairOptions
 from sim.pair.gap import GapSensors
 from sim.pair.world import PairWorld
 
@@ -72,7 +71,7 @@ class GapRig:
 def gap_rig(seed: int | None) -> Iterator[GapRig]:
     """Both buses of the example cell with distance sensors, the simulated devices in the thread that waits for them."""
     with (
-        simulated(PairOptions(seed), CELL.with_name("distance.toml")) as (simulation, path, buses),
+        simulated(seed, CELL.with_name("distance.toml")) as (simulation, path, buses),
         inline(simulation.servers, buses),
     ):
         table = tomllib.loads(path.read_text(encoding="utf-8"))["pair"]

@@ -30,7 +30,6 @@ from gateway.pair.taught_path import TaughtPath
 from gateway.pair.teach import Teacher
 from gateway.pair.transform_function import TransformFunction
 from gateway.result.interval import TWO_SIDED_95
-from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.simulation import ServeOptions, Simulation
 from tests.support.rigs.pacing import in_lockstep
@@ -122,9 +121,9 @@ class PairRig:
 
 
 @contextmanager
-def pair_rig(seed: int | None, settings: Mapping[str, Any] | None = None, **options: Any) -> Iterator[PairRig]:
+def pair_rig(seed: int | None, settings: Mapping[str, Any] | None = None) -> Iterator[PairRig]:
     """Both buses on `virtual`; the simulated drives in threads of this process."""
-    with simulated(PairOptions(seed, settings=settings, **options)) as (simulation, path, buses):
+    with simulated(seed, settings=settings) as (simulation, path, buses):
         thread = threading.Thread(target=simulation.run, name="pair-sim")
         thread.start()
         try:
@@ -142,7 +141,7 @@ def inline_rig(
 ) -> Iterator[PairRig]:
     """The same rig, of any cell file, the simulated drives in the thread that waits for them."""
     with (
-        simulated(PairOptions(seed, settings=settings), cell_file) as (simulation, path, buses),
+        simulated(seed, cell_file, settings) as (simulation, path, buses),
         inline(simulation.servers, buses),
     ):
         cell = load_pair(path, bus_spec(buses))
@@ -151,13 +150,15 @@ def inline_rig(
 
 
 @contextmanager
-def simulated(options: PairOptions, cell_file: Path = CELL) -> Iterator[tuple[Simulation, Path, tuple[str, str]]]:
+def simulated(
+    seed: int | None, cell_file: Path = CELL, settings: Mapping[str, Any] | None = None
+) -> Iterator[tuple[Simulation, Path, tuple[str, str]]]:
     """Both arms of a cell file, a copy of that file, and the channels of the buses."""
     name = uuid.uuid4().hex
     buses = (f"{name}-l", f"{name}-r")
     with tempfile.TemporaryDirectory() as folder:
         path = patient_cell(Path(folder), cell_file)
-        simulation = Simulation(path, ServeOptions(bus=bus_spec(buses)), options)
+        simulation = Simulation(path, ServeOptions(bus=bus_spec(buses), seed=seed), settings=settings)
         try:
             yield simulation, path, buses
         finally:

@@ -21,7 +21,7 @@ from gateway.motion.stream import MoveOptions
 from gateway.pair.link import PairLink, open_link
 from gateway.pair.pair_cell import PairCell, load_pair
 from gateway.pair.transform_function import function_of_knots
-from sim.pair.cell import PLANTS, PairOptions
+from sim.pair.cell import PLANTS
 from sim.pair.two_arms import TwoArms
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
@@ -45,7 +45,7 @@ STILL = mock.patch.dict(PLANTS, bullet=Still)
 def _serve(cell_file: Path, bus: str, ready: Any, stop: Any) -> None:
     """Simulated drives in a process of their own, without physics, until `stop`."""
     with STILL:
-        simulation = Simulation(cell_file, ServeOptions(bus=bus), PairOptions(plant="bullet"))
+        simulation = Simulation(cell_file, ServeOptions(bus=bus), plant="bullet")
     thread = threading.Thread(target=simulation.run)
     thread.start()
     ready.set()

@@ -47,7 +47,6 @@ from gateway.pair.taught_path import TaughtPath
 from gateway.pair.teach import Teacher
 from gateway.pair.transform import Floats
 from gateway.pair.transform_function import TransformFunction
-from sim.pair.cell import PairOptions
 from sim.pair.gap import GapSensors
 from sim.simulation import ServeOptions, Simulation
 from tests.support.rigs.pacing import by_the_clock
@@ -93,7 +92,7 @@ def _served(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection
     """Both arms and their drives in this process, until commanded to quit."""
     pair_cell(folder, edit)
     path = folder / CELL
-    simulation = Simulation(path, ServeOptions(bus=bus), PairOptions(options["seed"], plant="light"))
+    simulation = Simulation(path, ServeOptions(bus=bus, seed=options["seed"]), plant="light")
     truth = Truth(simulation, tomllib.loads(path.read_text())["pair"])
     thread = threading.Thread(target=simulation.run, name="pair-clock")
     thread.start()
@@ -213,7 +212,7 @@ def stepped(seed: int | None, period_s: float) -> Iterator[Bench]:
     with TemporaryDirectory() as folder:
         path, buses = patient_cell(Path(folder)), (f"clock-{seed}-l", f"clock-{seed}-r")
         path.write_text(at_period(path.read_text(), period_s))
-        simulation = Simulation(path, ServeOptions(bus=bus_spec(buses)), PairOptions(seed, plant="light"))
+        simulation = Simulation(path, ServeOptions(bus=bus_spec(buses), seed=seed), plant="light")
         truth = Truth(simulation, {})
         try:
             with inline(simulation.servers, buses):

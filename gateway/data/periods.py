@@ -42,6 +42,18 @@ def excitation_runs(table: Table) -> Ints:
     return out
 
 
+def uninterrupted(table: Table) -> Ints:
+    """Return the number (n,) of the part of a recording that each sample is of: a load, and a period of its excitation.
+
+    A recording that was continued later begins its time again, so times are in order within such a part alone.
+    """
+    none = np.full(len(table), np.nan)
+    marks = (np.nan_to_num(table.extra.get(name, none), nan=-1.0) for name in (EXCITATION, PERIOD))
+    keys = list(zip(table.file, *(column.tolist() for column in (table.run, table.load, *marks)), strict=True))
+    number = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    return np.array([number[key] for key in keys], dtype=int)
+
+
 def noise_between_periods(table: Table, turns: Mask) -> Floats:
     """Return the standard deviation (N,) [Nm] of one torque sample from differences between periods; NaN without
     repeats.

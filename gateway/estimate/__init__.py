@@ -25,9 +25,11 @@ from gateway.estimate.moving_estimate import estimate_moving
 from gateway.estimate.posture import estimate_posture
 from gateway.estimate.recommendation import next_pose, shrinks_most
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.motion.rest_rows import fitted_rest
 from gateway.identify.prior_loads import BARE_LABEL, refuse_absent
 from gateway.identify.rejected import without_outliers
+from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
+from gateway.identify.rest.linear import Fit
+from gateway.identify.rest.problem import build_problem
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits
 from gateway.result.result import Finding, Result
@@ -90,15 +92,18 @@ def _joint(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
 def _together(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
     """Fit rest and moving rows in one solution, without the loads whose rest rows contradict each other."""
     sound, rejected = without_outliers(_visits(table, knowledge), robot, knowledge.gravity_m_s2)
-    rest = fitted_rest(sound, robot, knowledge)
     at_rest = knowledge.of_loads(sound.load)
-    gone = refused_loads(rest.problem, rest.fit, robot, at_rest)
+    plain: Fit | None = fit_without_effects(build_problem(robot, sound, at_rest))
+    gone = refused_loads(plain.problem, plain, robot, at_rest)
     kept = ~np.isin(np.asarray(table.load), list(gone))
     if gone and not (table.moving & kept).any():
         return _of_visits(estimate_joint)(table.take(~table.moving), robot, at_rest)
     if gone:
         sound = sound.take(~np.isin(sound.load, list(gone)))
-        rest = fitted_rest(sound, robot, knowledge) if len(sound) else None
+        plain = None
+        if len(sound):
+            plain = fit_without_effects(build_problem(robot, sound, knowledge.of_loads(sound.load)))
+    rest = None if plain is None else with_place_effects(plain)
     found = estimate_moving(
         table.take(kept), robot, knowledge.of_loads(set(knowledge.stated_loads) - set(gone)), rest=rest
     )
@@ -106,7 +111,7 @@ def _together(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
         found,
         method="joint",
         loads=(*found.loads, *(load for label, load in gone.items() if label not in (BARE_LABEL, *knowledge.known))),
-        sigma_nm=found.sigma_nm if rest is None else axis_sigma(rest.problem, rest.fit),
+        sigma_nm=found.sigma_nm if rest is None else axis_sigma(rest.problem, rest),
         band_nm=found.band_nm if rest is None else np.abs(rest.problem.rows.band_nm),
         set_aside=(*rejected.entries, *found.set_aside),
         findings=(*rejected.findings, *found.findings),

@@ -192,7 +192,7 @@ def take_stock(visits: Visits, robot: Robot, knowledge: Knowledge, sought: Sough
     """
     problem = build_problem(robot, visits, knowledge)
     plain = fit_without_effects(problem)
-    fit = with_place_effects(problem, plain)
+    fit = with_place_effects(plain)
     wide = fit.null * _OPEN
     gain, offset = (problem.nuisance_part.start + KINDS.index(kind) * problem.axes for kind in ("gain", "bias"))
     gains = slice(gain, gain + problem.axes)

@@ -81,7 +81,7 @@ def estimate_joint(
 def _described(settled: SettledKnowledge, robot: Robot) -> Estimate:
     """Return the estimate of a fit with effects of places, widened by statements that may be wrong unseen."""
     problem, knowledge = settled.problem, settled.knowledge
-    fit = with_place_effects(problem, settled.fit)
+    fit = with_place_effects(settled.fit)
     return describe(problem, fit, robot, knowledge, spread_of_loads(robot, problem, fit, knowledge))
 
 

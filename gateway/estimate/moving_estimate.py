@@ -18,7 +18,7 @@ from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.columns import MovingSetup
 from gateway.identify.motion.moving_fit import MotionFit, fit_motion
 from gateway.identify.motion.moving_results import axis_motions, loads_of, nuisances
-from gateway.identify.motion.rest_rows import FittedRest
+from gateway.identify.rest.linear import Fit
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot
 from gateway.result.result import AxisMotion, Finding
@@ -34,7 +34,7 @@ def estimate_moving(
     robot: Robot,
     knowledge: Knowledge,
     motion: MovingSetup | None = None,
-    rest: FittedRest | None = None,
+    rest: Fit | None = None,
 ) -> Estimate:
     """Fit the moving rows of a table.
 
@@ -45,8 +45,8 @@ def estimate_moving(
     knowledge : Knowledge
         Inertials, known loads, gravity.
     motion : MovingSetup, optional
-    rest : Fitted, optional
-        Rest visits of the same arm, which are solved with the moving rows.
+    rest : Fit, optional
+        Of rest visits of the same arm, which are solved with the moving rows.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def estimate_moving(
     return replace(
         estimate,
         loads=loads,
-        rows=estimate.rows if rest is None else rest_rows(rest.problem, rest.fit),
+        rows=estimate.rows if rest is None else rest_rows(rest.problem, rest),
         set_aside=periods.set_aside,
         findings=(*found.findings, *periods.findings, *estimate.findings),
     )

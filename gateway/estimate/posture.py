@@ -21,7 +21,7 @@ from gateway.estimate.estimate import Estimate
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.prior_loads import BARE_LABEL, require_postures, unknown_labels
-from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
+from gateway.identify.rest.hypothesis_fit import fit_to_report, fit_without_effects
 from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_loads import well_determined
 from gateway.identify.solve import solve
@@ -82,7 +82,7 @@ def estimate_posture(visits: Visits, robot: Robot, knowledge: Knowledge) -> Esti
 def _described(visits: Visits, robot: Robot, knowledge: Knowledge) -> Estimate:
     """Return the joint estimate of these visits."""
     problem = build_problem(robot, visits, knowledge)
-    return describe(problem, with_place_effects(problem, fit_without_effects(problem)), robot, knowledge)
+    return describe(problem, fit_to_report(problem), robot, knowledge)
 
 
 def _bare(visits: Visits, robot: Robot, knowledge: Knowledge, base: BaseSet, labels: tuple[str, ...]) -> Bare:

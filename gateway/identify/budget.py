@@ -49,22 +49,21 @@ class Sources:
 
 
 def budget_of(
-    design: ByGroup, weight: Floats, prior: Prior, covariance: Floats, direction: Floats, sources: Sources
+    design: ByGroup, prior: Prior, covariance: Floats, direction: Floats, sources: Sources
 ) -> Mapping[str, float]:
     """Return the share of the variance of `direction @ x` by source, with sum 1.
 
-    The estimate is linear in the measured rows and in the prior's means, each of variance 1 once weighted. The variance
-    is the sum of the squares of its coefficients, `|direction C A^T W|^2 + |direction C P^T|^2`, and every row and
+    The estimate is linear in the measured rows and in the prior's means, each of variance 1. The variance is the
+    sum of the squares of its coefficients, `|direction C A^T|^2 + |direction C P^T|^2`, and every row and
     every prior belongs to one source.
 
     Parameters
     ----------
     design : columns (n, p)
-    weight : array of shape (n,)
-        One over the standard deviation of each row.
+        Of rows with unit variance.
     prior : Prior
     covariance : array of shape (p, p)
-        Of the solution: the inverse of `A^T W^2 A + P^T P`.
+        Of the solution: the inverse of `A^T A + P^T P`.
     direction : array of shape (p,)
     sources : Sources
 
@@ -75,7 +74,7 @@ def budget_of(
     """
     reach = covariance @ direction
     held = np.isfinite(prior.std)
-    by_row = (design.times(reach) * weight) ** 2
+    by_row = design.times(reach) ** 2
     by_prior = np.zeros(len(reach))
     by_prior[held] = (reach[held] / prior.std[held]) ** 2
     nothing = np.zeros(len(reach))

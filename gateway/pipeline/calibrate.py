@@ -24,7 +24,7 @@ from gateway.identify.drift import drift_findings, drift_of
 from gateway.identify.nuisance import day_std
 from gateway.identify.prior_loads import load_vector, require_postures
 from gateway.identify.rejected import without_outliers
-from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
+from gateway.identify.rest.hypothesis_fit import fit_to_report
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_loads import nuisance_results
@@ -105,7 +105,7 @@ def calibrate(
     problem = build_problem(robot, visits, replace(knowledge, gain_std=gain_std))
     for label in (weight.label, BARE_LABEL):
         require_postures(visits.q_rad[visits.load == label], label)
-    fit = with_place_effects(problem, fit_without_effects(problem))
+    fit = fit_to_report(problem)
     moment = (
         fit.loads[problem.labels.index(weight.label)]
         if weight.com_m is None

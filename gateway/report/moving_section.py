@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.motion.stretches import Stretches
 from gateway.report import notation
 from gateway.result.inertia import COLUMN, ROW, tensor_of
 from gateway.result.interval import half_width
@@ -24,8 +25,6 @@ CURVE_POINTS, MOST_POINTS = 81, 300
 SLOW_SHARE = 0.03
 #: A joint with a smaller range in a run counts as still [rad].
 STILL_RAD = 0.01
-#: Least number of samples of a run that is drawn.
-LEAST_ROWS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,26 +220,21 @@ def period_of(result: Result) -> DrawnPeriod | None:
 
 
 def _moving_runs(rows: Rows | None) -> list[DrawnPeriod]:
-    """Return the moving samples of each run in time order."""
+    """Return the moving samples in time order, without a gap: an excitation of a recording under a load."""
     if rows is None or not (rows.q_rad and rows.time_s and rows.tau_nm and rows.model_nm):
         return []
     pose = rows.pose or (-1,) * len(rows.q_rad)
     runs, loads = rows.run or ("",) * len(pose), rows.load or ("none",) * len(pose)
-    places: dict[tuple[str, str], list[int]] = {}
-    for row, (run, load) in enumerate(zip(runs, loads, strict=True)):
-        if pose[row] < 0 and notation.known(rows.time_s[row]):
-            places.setdefault((run, load), []).append(row)
-    found = []
-    for (run, load), chosen in places.items():
-        order = sorted(chosen, key=lambda row: rows.time_s[row])
-        time_s, *tables = (
-            np.array([table[row] for row in order], dtype=float)
-            for table in (rows.time_s, rows.q_rad, rows.tau_nm, rows.model_nm)
-        )
-        later = np.concatenate([[True], np.diff(time_s) > 0.0])
-        if later.sum() >= LEAST_ROWS:
-            found.append(DrawnPeriod(run, load, time_s[later] - time_s[0], *(table[later] for table in tables)))
-    return found
+    time_s = np.array(rows.time_s, dtype=float)
+    time_s[np.array(pose) >= 0] = np.nan
+    occasion = np.unique(np.stack([runs, loads]), axis=1, return_inverse=True)[1].ravel()
+    # a recording that was continued begins its time again
+    part = np.cumsum((np.diff(occasion, prepend=-1) != 0) | (np.diff(time_s, prepend=-np.inf) <= 0.0))
+    q_rad, tau_nm, model_nm = (np.array(table, dtype=float) for table in (rows.q_rad, rows.tau_nm, rows.model_nm))
+    return [
+        DrawnPeriod(runs[chosen[0]], loads[chosen[0]], at_s - at_s[0], q_rad[chosen], tau_nm[chosen], model_nm[chosen])
+        for chosen, at_s in Stretches.of(part, time_s).parts
+    ]
 
 
 def _speed(run: DrawnPeriod) -> Floats:

@@ -25,15 +25,11 @@ class ArmTruth:
     geometry : with its errors
     bodies : N links, gripper and half the part on the last
     train : drives and gears
-    shift_rad : (N,) cell's zero offsets
-    max_rad_s : (N,) speed limit of the drives
     """
 
     geometry: ArmGeometry
     bodies: tuple[SimBody, ...]
     train: DriveTrain
-    shift_rad: Array
-    max_rad_s: Array
 
 
 def chain_of(arm: ArmTruth) -> SimChain:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -20,7 +20,6 @@ from sim.pair.pair_errors import (
     RATED_TORQUE_NM,
     ArmErrors,
     ArmSheet,
-    PairErrors,
     as_stated,
     draw,
 )
@@ -48,26 +47,20 @@ GEARS = (
 PLANTS: Mapping[str, type[TwoArms]] = {"bullet": PairWorld, "light": LightWorld}
 
 
-@dataclass(frozen=True, slots=True)
-class PairOptions:
-    """What may be changed about the simulated pair.
+def pair_units(
+    cell: CellSpec,
+    seed: int | None,
+    settings: Mapping[str, Any] | None = None,
+    plant: Literal["bullet", "light"] | None = None,
+) -> dict[str, PairUnit]:
+    """Both arms of a cell on one physics, by name.
 
-    Attributes
+    Parameters
     ----------
+    cell : with the table of the pair
     seed : of the undeclared errors; None = the arms of the data sheet
-    errors : drawn errors in place of the seed's
     settings : fields of `WorldSettings` to change
     plant : "bullet", or "light" for real time; None = by the pacing of the buses
-    """
-
-    seed: int | None = None
-    errors: PairErrors | None = None
-    settings: Mapping[str, Any] | None = None
-    plant: Literal["bullet", "light"] | None = None
-
-
-def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
-    """Both arms of a cell on one physics, by name.
 
     Raises
     ------
@@ -82,28 +75,24 @@ def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
         _check(arm)
     rows = (rows_of(arms[0]), rows_of(arms[1]))
     sheets = (_sheet(arms[0], rows[0]), _sheet(arms[1], rows[1]))
-    errors = options.errors
-    if errors is None:
-        errors = as_stated(sheets, NOMINAL_LAG_S) if options.seed is None else draw(options.seed, sheets)
+    errors = as_stated(sheets, NOMINAL_LAG_S) if seed is None else draw(seed, sheets)
     pair = cell.pair or {}
     part, apart = float(pair.get("part_mass_kg", 0.0)), "distance" in pair
     hands = [_fingertip(one.geometry) for one in rows]
     shares = (_whole_part(part, hands[0]), None) if apart else tuple(_half_part(0.5 * part, hand) for hand in hands)
     truths = (_truth(arms[0], rows[0], errors.master, shares[0]), _truth(arms[1], rows[1], errors.slave, shares[1]))
     start = tuple(np.array(arm.start_rad, dtype=float) for arm in arms)
-    settings = WorldSettings(
-        (start[0], start[1]), skew_s=errors.skew_s, seed=1 if options.seed is None else options.seed
-    )
+    stated = WorldSettings((start[0], start[1]), skew_s=errors.skew_s, seed=1 if seed is None else seed)
     if apart:
-        settings = replace(settings, stiffness=Stiffness(0.0, 0.0))
+        stated = replace(stated, stiffness=Stiffness(0.0, 0.0))
+    stated = replace(stated, **(settings or {}))
     real = any(cell.buses[arm.bus].pacing == "real" for arm in arms)
-    plant = PLANTS[options.plant or ("light" if real else "bullet")]
-    world = plant(truths, replace(settings, **(options.settings or {})))
+    world = PLANTS[plant or ("light" if real else "bullet")](truths, stated)
     world.undeclared = _plain(asdict(errors))
     units = {arm.name: PairUnit(arm, world, index, cell.buses[arm.bus]) for index, arm in enumerate(arms)}
     if apart:
         unit = next(units[arm.name] for arm in arms if arm.bus == pair["distance"]["bus"])
-        add_sensors(pair, unit, GapSensors(pair, world, settings.seed))
+        add_sensors(pair, unit, GapSensors(pair, world, stated.seed))
     return units
 
 
@@ -152,12 +141,12 @@ def _truth(arm: ArmSpec, rows: ArmRows, errors: ArmErrors, carried: SimBody | No
         cyclic_rad=errors.cyclic_rad,
         cyclic_per_rad=errors.cyclic_per_rev,
         cyclic_phase_rad=errors.cyclic_phase_rad,
+        shift_rad=np.array([axis.zero_offset_rad for axis in axes]),
+        max_rad_s=np.array([3.0 * axis.speed_limit_rad_s for axis in axes]),
     )
     if not np.all(train.rotor_kg_m2 > 0):
         raise CellFileError(f"arm '{arm.name}' of a pair: every axis needs rotor_inertia_kg_m2, coulomb_nm, viscous")
-    shift = np.array([axis.zero_offset_rad for axis in axes])
-    speed = np.array([3.0 * axis.speed_limit_rad_s for axis in axes])
-    return ArmTruth(errors.geometry, tuple(bodies), train, shift, speed)
+    return ArmTruth(errors.geometry, tuple(bodies), train)
 
 
 def _fingertip(geometry: ArmGeometry) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 
 from sim.cellfile import pose_of
 from sim.measuring import FakeMeasuringDevice, MeasuringSite
-from sim.pair.ranges import NOISE_M, Rig, ranges
 from sim.pair.two_arms import TwoArms
 from sim.pair.unit import PairUnit
 
@@ -18,7 +18,26 @@ Array = NDArray[np.float64]
 
 #: What the sensors can measure, as a multiple of the largest distance the cell allows.
 REACH = 1.5
-NOISE_SEED = 0xD157
+NOISE_SEED, NOISE_M = 0xD157, 5e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """Sensors (n, 3): origin and beam in their hand; planes (n, 3): point and normal in the other hand. In metres."""
+
+    origin: Array
+    beam: Array
+    point: Array
+    normal: Array
+
+
+def ranges(rig: Rig, first: Array, second: Array) -> Array:
+    """Distances (m, n) [m] at true fingertips (m, 4, 4) in the world: of the other arm, and of the one with sensors."""
+    origin = np.einsum("mij,nj->mni", second[:, :3, :3], rig.origin) + second[:, None, :3, 3]
+    beam = np.einsum("mij,nj->mni", second[:, :3, :3], rig.beam)
+    point = np.einsum("mij,nj->mni", first[:, :3, :3], rig.point) + first[:, None, :3, 3]
+    normal = np.einsum("mij,nj->mni", first[:, :3, :3], rig.normal)
+    return np.sum((point - origin) * normal, axis=2) / np.sum(beam * normal, axis=2)
 
 
 class GapSensors:

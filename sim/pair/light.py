@@ -14,8 +14,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.motor import Motor
 from sim.pair.body import ArmTruth
-from sim.pair.motors import PairAxis
 from sim.pair.two_arms import TwoArms, WorldSettings
 from sim.servo import TICK_S
 
@@ -85,7 +85,7 @@ class LightWorld(TwoArms):
             before = omega[i]
             if axis.fed:
                 most_nm = axis.servo.max_nm
-                at = self._follow(axis, theta[i], ticks, (decay[i], delay_s if i >= slave else 0.0))
+                at = self._follow(axis, theta[i], ticks, self._lag_s[i], decay[i], delay_s if i >= slave else 0.0)
                 if axis.servo.limited:
                     at = self._fall(i, theta[i], before, math.copysign(most_nm, need[i]), seconds)
                 theta[i], omega[i] = at
@@ -93,11 +93,8 @@ class LightWorld(TwoArms):
             elif axis.free:
                 theta[i], omega[i] = self._fall(i, theta[i], before, 0.0, seconds)
             else:
-                omega[i] = -math.copysign(axis.slip_rad_s, gear[i]) if axis.slip_rad_s else 0.0
-                motors.fallen[i] = motors.fallen[i] + motors.fall[i] * seconds if axis.falls else 0.0
-                omega[i] += float(motors.fallen[i])
+                before = omega[i] = axis.sink(seconds, gear[i])
                 theta[i] += omega[i] * seconds
-                before = omega[i]
             asked[i] = omega[i] - before
             axis.fastest_rad_s = max(axis.fastest_rad_s, abs(omega[i]))
         left = (self._open + asked) * math.exp(-seconds / SPEED_LOOP_S)
@@ -106,9 +103,11 @@ class LightWorld(TwoArms):
         self.friction = np.clip(self.friction + turned / BREAKAWAY_RAD, -1.0, 1.0)
         motors.theta, motors.omega = np.array(theta), np.array(omega)
 
-    def _follow(self, axis: PairAxis, theta: float, ticks: float, how: tuple[float, float]) -> tuple[float, float]:
+    def _follow(
+        self, axis: Motor, theta: float, ticks: float, lag_s: float, decay: float, delay_s: float
+    ) -> tuple[float, float]:
         """Angle and speed of a rotor behind a reference that moves evenly; the exact solution of its lag."""
-        servo, lag_s, (decay, delay_s) = axis.servo, self._lag_s[axis.index], how
+        servo = axis.servo
         seconds, speed = ticks * TICK_S, axis.servo.reference_step_rad / TICK_S
         servo.reference_rad += servo.reference_step_rad * ticks
         goal = servo.reference_rad + axis.shift_rad - speed * delay_s

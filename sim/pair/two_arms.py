@@ -105,9 +105,7 @@ class TwoArms(ABC):
         self._asked, self._owed, self._live = [0.0, 0.0], [0.0, 0.0], [False, False]
         self._random = np.random.default_rng(settings.seed)
         self._engine = load_pair(arms, settings.step_s)
-        shift = np.concatenate([arm.shift_rad for arm in arms])
-        limits = np.concatenate([arm.max_rad_s for arm in arms])
-        self.motors = Motors(joined((arms[0].train, arms[1].train)), shift, limits, settings.step_s)
+        self.motors = Motors(joined((arms[0].train, arms[1].train)), settings.step_s)
         self._rated = self.motors.train.rated_nm
         self.q, self.qd, self.wrench = np.zeros(self.joints), np.zeros(self.joints), np.zeros(6)
         self._stand(np.concatenate(settings.start_rad))
@@ -165,7 +163,7 @@ class TwoArms(ABC):
 
     def _run(self) -> None:
         """Advance to the time requested by all powered arms whose SYNC is not missing."""
-        powered = [bool(self.motors.live[own].any()) for own in self.of_arm]
+        powered = [any(axis.free for axis in self.motors.axes[own]) for own in self.of_arm]
         waited = [live and power for live, power in zip(self._live, powered, strict=True)]
         goal = min(self._asked[arm] for arm in (0, 1) if waited[arm]) if any(waited) else max(self._asked)
         self._pass(goal)
@@ -232,7 +230,7 @@ class TwoArms(ABC):
         own, motors = self.of_arm[arm], self.motors
         rated = self._rated[own]
         noise = 0.003 * rated * self._random.standard_normal(len(rated))
-        return ((motors.shown_nm[own] + noise) * motors.live[own]).tolist()
+        return ((motors.shown_nm[own] + noise) * [axis.free for axis in motors.axes[own]]).tolist()
 
     @property
     def fastest_rad_s(self) -> Array:

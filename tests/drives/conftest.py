@@ -165,6 +165,16 @@ class Slave:
         self.values: dict[tuple[int, int], int] = {}
         self._fill(node_id if serial is None else serial)
 
+    def obey_after(self, syncs: int) -> None:
+        """Leave OPERATION ENABLED so many SYNCs after it was commanded."""
+        commanded = [0]
+
+        def obeys(word: int) -> bool:
+            commanded[0] += word != 0x0F
+            return commanded[0] > syncs or word == 0x0F
+
+        self.obeys = obeys
+
     def _fill(self, serial: int) -> None:
         node = self.node_id
         for index, sub, kind, value in (

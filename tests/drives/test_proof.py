@@ -175,21 +175,10 @@ def test_a_bus_that_fails_meanwhile_ends_the_proof_and_all_are_stopped(group, sl
 # -- one axis on its brake ---------------------------------------------------------------------------------------------
 
 
-def slow(slave: Slave, syncs: int) -> None:
-    """The drive leaves OPERATION ENABLED so many SYNCs after it was commanded to."""
-    targets = [0]
-
-    def obeys(word: int) -> bool:
-        targets[0] += word != 0x0F
-        return targets[0] > syncs or word == 0x0F
-
-    slave.obeys = obeys
-
-
 @pytest.mark.parametrize(("syncs", "waited"), [(90, True), (120, False)])
 def test_a_slow_drive_is_waited_for_as_long_as_its_profile_says(group, slaves, syncs, waited):
     """1 s is 100 SYNCs."""
-    slow(slaves[1], syncs)
+    slaves[1].obey_after(syncs)
     slaves[1].moves_in = {"switch on disabled": [-30, -40, 10]}
     if waited:
         assert release(group, 1, 0.2).moved_rad == pytest.approx(70 * COUNT_RAD)
@@ -200,7 +189,7 @@ def test_a_slow_drive_is_waited_for_as_long_as_its_profile_says(group, slaves, s
 
 def test_one_axis_is_watched_for_as_long_as_asked(group, slaves):
     """What it does afterwards does not count; a slow drive is watched from when it has left, 0.3 s without voltage."""
-    slow(slaves[1], 30)
+    slaves[1].obey_after(30)
     slaves[1].moves_in = {"switched on": [0], "switch on disabled": [0] * 27 + [-5] + [-400] * 10}
     syncs = slaves[0].sync_seen
     brake_drop_rad = release(group, 1, 0.3).moved_rad
@@ -332,8 +321,8 @@ def test_a_ramp_is_watched_until_it_ends(group, slaves):
 
 
 def test_a_drive_that_obeys_after_two_syncs_is_in_time_and_a_later_one_is_not(group, slaves):
-    slow(slaves[0], 1)
-    slow(slaves[1], 6)
+    slaves[0].obey_after(1)
+    slaves[1].obey_after(6)
     first, second, third = prove_quick_stop(group, rows(slaves, 5))
     assert (first.in_time, second.in_time, third.in_time) == (True, False, True)
     assert second.left_s == pytest.approx(third.left_s + 6 * PERIOD_S, abs=1e-3)

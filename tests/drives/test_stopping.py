@@ -338,22 +338,11 @@ def test_a_ramp_is_waited_for_two_seconds(group, slaves, syncs, enough):
             group.quick_stop()
 
 
-def slow_to_obey(slave: Slave, syncs: int) -> None:
-    """It leaves OPERATION ENABLED so many SYNCs after it was commanded to."""
-    commanded = [0]
-
-    def obeys(word: int) -> bool:
-        commanded[0] += word != 0x0F
-        return commanded[0] > syncs or word == 0x0F
-
-    slave.obeys = obeys
-
-
 @pytest.mark.parametrize(("syncs", "goes_on"), [(15, True), (30, False)])
 def test_the_heartbeat_ends_when_an_axis_stays_enabled_too_long(group, slaves, wire, syncs, goes_on):
     """0.2 s are 20 SYNCs; a drive that still is enabled then shall stop by itself."""
     move(group, 3)
-    slow_to_obey(slaves[2], syncs)
+    slaves[2].obey_after(syncs)
     group.quick_stop()
     before = len(beats_s(wire))
     group.bus.listen(0.5)

@@ -47,8 +47,8 @@ class Master:
 
     Aborted = Aborted
 
-    def __init__(self, channel: str) -> None:
-        self.bus = can.Bus(interface="virtual", channel=channel)
+    def __init__(self, channel: str, interface: str = "virtual", **options: int) -> None:
+        self.bus = can.Bus(interface=interface, channel=channel, **options)
         self.seen: list[can.Message] = []
 
     def send(self, can_id: int, data: bytes) -> None:

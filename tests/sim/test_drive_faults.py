@@ -43,15 +43,15 @@ class Bench:
         for drive in self.server.drives:
             drive.node.boot()
             drive.node.nmt_command(1)
-            drive.take_mode(8)
+            drive.motion.take_mode(8)
             for word in (0x06, 0x07, 0x0F):
                 drive.take_controlword(word)
 
     def move(self, syncs: int, step_rad: float) -> None:
         """Run some SYNCs, with the axis commanded by so much at each."""
         for _ in range(syncs):
-            self._target += round(step_rad * self.drive.counts_per_joint_rad)
-            self.drive.take_target(self._target)
+            self._target += round(step_rad * self.drive.motion.counts_per_joint_rad)
+            self.drive.motion.take_target(self._target)
             self.unit.sync()
             self.unit.advance(PERIOD_S)
             self.words.append(self.drive.statusword())
@@ -79,9 +79,9 @@ EFFECTS: dict[str, Effect] = {
     "node_killed": lambda bench: bench.drive.node.unpowered and at_rest_in_its_brake(bench),
     "node_missing": lambda bench: bench.drive.node.unpowered,
     "power_cycle": lambda bench: bench.drive.node.state == PRE_OPERATIONAL and at_rest_in_its_brake(bench),
-    "reboot_keeps_all": lambda bench: bench.drive.mode == 8 and at_rest_in_its_brake(bench),
-    "reboot_keeps_communication": lambda bench: bench.drive.mode == 0 and at_rest_in_its_brake(bench),
-    "reboot_keeps_nothing": lambda bench: bench.drive.mode == 0 and at_rest_in_its_brake(bench),
+    "reboot_keeps_all": lambda bench: bench.drive.motion.mode == 8 and at_rest_in_its_brake(bench),
+    "reboot_keeps_communication": lambda bench: bench.drive.motion.mode == 0 and at_rest_in_its_brake(bench),
+    "reboot_keeps_nothing": lambda bench: bench.drive.motion.mode == 0 and at_rest_in_its_brake(bench),
     "nmt_preoperational": lambda bench: bench.drive.node.state == PRE_OPERATIONAL and at_rest_in_its_brake(bench),
     "nmt_stopped": lambda bench: bench.drive.node.state == STOPPED and at_rest_in_its_brake(bench),
     "drive_fault": lambda bench: bench.state is PdsState.FAULT and at_rest_in_its_brake(bench),
@@ -167,7 +167,7 @@ def test_a_reboot_keeps_what_its_kind_says(kind: str, kept: tuple[int, ...]) -> 
     write(0x6072, 0, (500).to_bytes(2, "little"))
     act(bench.server.drives, fault_of(kind, node=NODE))
     held = [int.from_bytes(bench.drive.store.read(*each), "little") for each in ((0x1017, 0), (0x1800, 2), (0x6072, 0))]
-    assert (held[0], held[1], bench.drive.mode, held[2]) == kept
+    assert (held[0], held[1], bench.drive.motion.mode, held[2]) == kept
     bench.close()
 
 

@@ -415,15 +415,18 @@ def test_signs_of_position_and_torque_are_the_cells(drives):
 
 
 def test_nmt_stop_silences_sdo_and_reset_restores_the_power_on_values(drives):
-    master, _ = drives
+    master, simulation = drives
     master.map(NODE, 0, (0x60640020,), 1)
     master.write(NODE, 0x6065, 0, 77, 4)
+    master.write(NODE, 0x60B1, 0, 5000, 4)
     master.send(0x000, bytes([2, NODE]))
     master.send(0x600 + NODE, struct.pack("<BHB", 0x40, 0x1000, 0).ljust(8, b"\x00"))
     assert not [frame for frame in master.drain() if frame.arbitration_id == 0x580 + NODE]
     master.send(0x000, bytes([130, NODE]))
     assert master.wait(0x700 + NODE) == b"\x00"
     assert master.number(NODE, 0x6065) != 77
+    servo = simulation.simulation.servers[0].drive(NODE).axis.servo
+    assert (master.number(NODE, 0x60B1), servo.offset_rad_s) == (0, 0.0)
     assert master.number(NODE, 0x1A00, 1) == 0x60410010
 
 

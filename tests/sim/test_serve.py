@@ -18,12 +18,13 @@ from drives.profile_file import list_profiles
 from sim.__main__ import main as sim_command
 from sim.build_errors import with_build_errors
 from sim.cellfile import CellFileError
-from sim.demo import comparison
+from sim.demo import LOAD_PROMPT, comparison
 from sim.demo import main as demo_command
 from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
 from sim.serve import command, free_bus, running
 from sim.simulation import ServeOptions, Simulation
+from tests.sim.conftest import Master
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SMALL = EXAMPLES / "small" / "cell.toml"
@@ -72,6 +73,24 @@ def test_a_process_of_its_own_answers_mounts_loads_and_writes_the_truth(tmp_path
         simulation.mount("none")
         with pytest.raises(KeyError, match="known are none, gripper"):
             simulation.mount("anvil")
+
+
+def torque_words(bus: str, noise_seed: int) -> list[int]:
+    """Torque that a drive under power reports at rest."""
+    interface, _, place = bus.partition(":")
+    channel, _, port = place.partition(",port=")
+    with running(SMALL, bus, pacing="lockstep", noise_seed=noise_seed):
+        master = Master(channel, interface, **({"port": int(port)} if port else {}))
+        with master.bus:
+            master.configure(3, 8)
+            position = master.enable(3)
+            return [master.cycle(3, 0x0F, position)[2] for _ in range(10)]
+
+
+def test_a_process_of_its_own_has_the_noise_of_the_stated_seed(channel):
+    alone = torque_words(free_bus(), 5)
+    assert alone == torque_words(f"virtual:{channel}", 5)
+    assert alone != torque_words(f"virtual:{channel}-other", 6)
 
 
 @pytest.mark.parametrize(
@@ -249,14 +268,14 @@ def test_a_master_that_sends_too_fast_moves_drives_without_a_buffer_too_fast(unb
     simulation = Simulation(SMALL, options)
     unit = simulation.arms[0]
     drive, limit = unit.drives[2], simulation.cell.arms[0].axes[2].speed_limit_rad_s
-    drive.take_mode(8)
+    drive.motion.take_mode(8)
     for word in (0x06, 0x07, 0x0F):
         drive.take_controlword(word)
     unit.advance(0.1)
     unit.world.forget_fastest()
-    start, step = drive.position_counts(), round(0.9 * limit * 0.01 * drive.counts_per_joint_rad)
+    start, step = drive.position_counts(), round(0.9 * limit * 0.01 * drive.motion.counts_per_joint_rad)
     for number in range(1, count + 1):
-        drive.take_target(start + step * number)
+        drive.motion.take_target(start + step * number)
         unit.advance(0.002)
     unit.advance(0.1)
     fastest = unit.world.fastest_rad_s
@@ -277,16 +296,16 @@ def test_delayed_setpoints_change_the_delay_of_a_drive_for_a_moment_only(delay_s
     simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
     unit = simulation.arms[0]
     drive = unit.drives[2]
-    drive.take_mode(8)
+    drive.motion.take_mode(8)
     for word in (0x06, 0x07, 0x0F):
         drive.take_controlword(word)
     period_s = drive.motion.period_s()
     for _ in range(held):  # the master holds the position while the brake opens
-        drive.take_target(drive.position_counts())
+        drive.motion.take_target(drive.position_counts())
         unit.advance(period_s)
     if not held:
         unit.advance(0.1037)
-    start, step = drive.position_counts(), round(0.001 * drive.counts_per_joint_rad)
+    start, step = drive.position_counts(), round(0.001 * drive.motion.counts_per_joint_rad)
     came_s = np.arange(1, 31) * period_s
     came_s[20 : 20 + len(delay_s)] += delay_s
     came_s = np.maximum.accumulate(came_s)
@@ -294,8 +313,8 @@ def test_delayed_setpoints_change_the_delay_of_a_drive_for_a_moment_only(delay_s
     for number, at_s in enumerate(came_s, start=1):
         unit.advance(at_s - now_s)
         now_s = at_s
-        drive.take_target(start + step * number)
-    behind = start + step * len(came_s) - drive.axis.servo.reference_rad * drive.counts_per_joint_rad
+        drive.motion.take_target(start + step * number)
+    behind = start + step * len(came_s) - drive.axis.servo.reference_rad * drive.motion.counts_per_joint_rad
     simulation.servers[0].bus.shutdown()
     simulation.close()
     assert period_s == pytest.approx(0.01)
@@ -318,6 +337,13 @@ def test_the_command_line_says_the_same_options():
     options = ServeOptions(bus="virtual:x", pacing="lockstep", unbuffered=True)
     assert command(SMALL, options)[-5:] == ["--bus", "virtual:x", "--pacing", "lockstep", "--unbuffered"]
     assert "--pacing" not in command(SMALL, ServeOptions(bus="virtual:x"))
+
+
+def test_the_line_that_asks_for_a_load_is_recognised():
+    """The demo mounts the load that `commission` asks for; the tests of commission read the same line."""
+    asked = LOAD_PROMPT.search("HANG LOAD gripper\n")
+    assert asked is not None
+    assert asked.group(1) == "gripper"
 
 
 def test_truth_beside_the_estimate():

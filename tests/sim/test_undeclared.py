@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +11,14 @@ import pytest
 
 from sim.build_errors import with_build_errors
 from sim.cellfile import read_payloads
+from sim.draw_effects import MISTAKES
 from sim.effects import apply_effects
 from sim.nominal import plant_of
 from sim.offline import point_jacobian
 from sim.plant import Payload
 from sim.serve import running
 from sim.simulation import CellFileError, ServeOptions, Simulation
-from sim.undeclared import MISTAKES, draw_undeclared
+from sim.undeclared import draw_undeclared
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SMALL = EXAMPLES / "small" / "cell.toml"
@@ -89,4 +89,4 @@ def test_a_file_of_effects_can_ask_for_build_errors_too(tmp_path, channel, arm_o
     assert plant.reading_offset_nm[2] == 2.0
     path.write_text("build_errors = true\n")
     with pytest.raises(CellFileError, match="build_errors is the seed"):
-        Simulation(SMALL, replace(ServeOptions(bus=f"virtual:{channel}"), undeclared=path))
+        Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", undeclared=path))

@@ -57,8 +57,8 @@ def test_a_good_drive_has_no_finding_and_a_page(tested):
 
 
 def flat_ramp(drive):
-    steep = drive.joint_ramp
-    drive.joint_ramp = lambda word: steep(word) / 60.0
+    steep = drive.motion.joint_ramp
+    drive.motion.joint_ramp = lambda word: steep(word) / 60.0
 
 
 def torque_of_the_sync_before_last(drive):

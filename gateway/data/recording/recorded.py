@@ -261,7 +261,7 @@ def period_rows(period: Period, tau_nm: np.ndarray, path: Path, harmonics: int, 
     return Table(
         file=(str(path),) * n,
         line=np.full(n, period.number),
-        run=np.array([f"{path.stem}/{period.number:04d}"] * n),
+        run=np.array([path.stem] * n),
         load=np.array([period.load] * n),
         pose=np.full(n, MOVING),
         time_s=period.time_s,

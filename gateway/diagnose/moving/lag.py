@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.periods import uninterrupted
 from gateway.data.table import Table
 from gateway.errors import DataUnusable
 from gateway.estimate.moving_estimate import estimate_moving
@@ -86,8 +87,7 @@ def _columns_of(then: MovingRows, now: MovingRows, name: str, mine: NDArray[np.b
 def _earlier(table: Table, delay_s: float) -> Table:
     """Return the table with the motion of its moving rows taken `delay_s` earlier."""
     rows = np.flatnonzero(table.moving)
-    runs = np.char.add(np.char.add(np.asarray(table.file, dtype=str), "\x00"), table.run.astype(str))
-    stretches = Stretches.of(runs[rows], table.time_s[rows])
+    stretches = Stretches.of(uninterrupted(table)[rows], table.time_s[rows])
     seen = np.isfinite(table.q2nd_rad[rows]).all(axis=0)
     moved: dict[str, Floats] = {}
     for name in ("q_rad", "qd_rad_s", "qdd_rad_s2", "q2nd_rad"):

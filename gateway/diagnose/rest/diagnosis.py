@@ -314,7 +314,7 @@ class RestDiagnosis:
 
     def _summary(self, problem: RestProblem, fitted: Fit, judge: Judge) -> FitSummary:
         """Residuals and loads of a fit without effects."""
-        return summary(problem, fitted, judge, loads_of(problem, with_place_effects(problem, fitted), self.robot))
+        return summary(problem, fitted, judge, loads_of(problem, with_place_effects(fitted), self.robot))
 
     def _as_estimated(self, visits: Visits, settled: SettledKnowledge | None) -> Result:
         """Return the result of `estimate`, for the case that no effect is named."""
@@ -369,7 +369,7 @@ class RestDiagnosis:
         if held is not None and kind == "fresh" and not findings:
             # what the proof has confirmed is estimated from all visits, those of the proof included
             last_problem, last = held.problem, fit(held.problem, last.terms, last.noise, last)
-        last = with_place_effects(last_problem, last)
+        last = with_place_effects(last)
         after = summary(problem, decision.after, judge, loads_of(last_problem, last, self.robot, by_shape))
         if last_problem is not problem and decision.after is decision.before and not found.mistakes:
             before = replace(before, loads=after.loads)

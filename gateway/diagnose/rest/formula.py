@@ -119,7 +119,7 @@ def candidate_formula(formulas: Formulas, judge: Judge, robot: Robot) -> Candida
         p_value=max(float(np.exp(-gained)), float(np.finfo(float).tiny)),
         runner_up=formulas.text(near[0]) if near else None,
         odds=formulas.odds(best, near[0]) if near else LARGEST_ODDS,
-        after=summary(problem, best, judge, loads_of(problem, with_place_effects(problem, best), robot)),
+        after=summary(problem, best, judge, loads_of(problem, with_place_effects(best), robot)),
         predicted_nm=tuple((without - by_others)[shown].tolist()),
         residual_nm=tuple(without[shown].tolist()),
     )

@@ -57,8 +57,8 @@ def settle(problem: MotionProblem, sigma_nm: Floats, start: About | None = None)
         here = about(problem, solution.value)
         if np.linalg.norm(here.model_nm[used] - before) < _SETTLED * np.linalg.norm(problem.tau_nm[used]):
             break
-    free = solution if prior is columns.prior else solved(problem, here, sigma_nm, columns.prior)
-    return Settled(here, solution, free)
+    # at the same linearisation as `here`, also where the steps did not converge: the spread needs columns of one point
+    return Settled(here, solution, solved(problem, here, sigma_nm, columns.prior))
 
 
 def limited(columns: Columns, value: Floats, prior: Prior) -> Prior:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from gateway.data.periods import uninterrupted
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
 from gateway.identify.conflict import without_placeholder
@@ -26,12 +27,13 @@ from gateway.identify.motion.effects import Effects, SeenEffects
 from gateway.identify.motion.periods import Periods, averaged
 from gateway.identify.motion.prior import gains_prior, held_to_friction, losses_seen, with_common_part, with_run_scatter
 from gateway.identify.motion.problem import MotionProblem, Still, about, solved
-from gateway.identify.motion.rest_rows import FittedRest, columns_beside
+from gateway.identify.motion.rest_rows import columns_beside
 from gateway.identify.motion.statements import NEARLY_EXACT, contradicted_links, contradiction
 from gateway.identify.motion.stretches import Stretches
 from gateway.identify.motion.uncertainty import MovingSpread, correlation_times, spread_of
 from gateway.identify.nuisance import BIAS_SHARE, gain_stds
 from gateway.identify.prior_loads import BARE_LABEL
+from gateway.identify.rest.linear import Fit
 from gateway.identify.solve import Solution, determined
 from gateway.model.motion import at_links, turns
 from gateway.model.placeholders import wide_inertia
@@ -97,7 +99,7 @@ def fit_motion(
     robot: Robot,
     knowledge: Knowledge,
     setup: MovingSetup,
-    rest: FittedRest | None = None,
+    rest: Fit | None = None,
     effects: Effects | None = None,
 ) -> FittedMotion:
     """Fit moving rows; their torque is that at the gear output.
@@ -109,8 +111,8 @@ def fit_motion(
     knowledge : Knowledge
         Inertials, known loads, gravity, torque constants.
     setup : MovingSetup
-    rest : FittedRest, optional
-        Rest visits of the same arm, which are solved with the moving rows.
+    rest : Fit, optional
+        Of rest visits of the same arm, which are solved with the moving rows.
     effects : Effects, optional
         Effects in addition to the nuisance parameters.
 
@@ -151,7 +153,7 @@ def _tested(
     robot: Robot,
     knowledge: Knowledge,
     setup: MovingSetup,
-    beside: tuple[FittedRest | None, Effects | None],
+    beside: tuple[Fit | None, Effects | None],
 ) -> tuple[MotionFit, tuple[Finding, ...]]:
     """Fit, and fit again with a wider prior of the link masses if the rows contradict them.
 
@@ -180,7 +182,7 @@ def _fit(
     robot: Robot,
     knowledge: Knowledge,
     setup: MovingSetup,
-    beside: tuple[FittedRest | None, Effects | None],
+    beside: tuple[Fit | None, Effects | None],
 ) -> MotionFit:
     moving, (rest, effects) = periods.mean, beside
     columns, still = columns_beside(moving, robot, knowledge, setup, rest)
@@ -218,7 +220,7 @@ def _check_speeds(moving: Table) -> None:
     ------
     DataUnusable
     """
-    off = Stretches.of(np.asarray(moving.run), moving.time_s).mismatch(moving.q_rad, moving.qd_rad_s)
+    off = Stretches.of(uninterrupted(moving), moving.time_s).mismatch(moving.q_rad, moving.qd_rad_s)
     axis = int(np.argmax(off))
     if off[axis] > _MISMATCH:
         raise DataUnusable(

@@ -1,7 +1,8 @@
 """Repeated periods: their mean, the noise from their scatter, and disturbed stretches.
 
 Rows of one load and one excitation (`x_excitation`) at the same phase (`x_phase_s`) are averaged over the periods
-(`x_period`). What repeats in every period is due to the arm; the rest is noise, a touch, or a slipping load.
+(`x_period`) of each recording: gains and friction change from recording to recording. What repeats in every period is
+due to the arm; the rest is noise, a touch, or a slipping load.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from gateway.data.periods import EXCITATION, MOTION_HZ, PERIOD, PHASE_S, repeats
+from gateway.data.periods import EXCITATION, MOTION_HZ, PERIOD, PHASE_S, repeats, uninterrupted
 from gateway.data.rows import Table, concatenate
 from gateway.identify.correlation import correlation_time
 from gateway.identify.motion.problem import Contrasts
 from gateway.identify.motion.stretches import Stretches
 from gateway.identify.motion.uncertainty import Scatter
+from gateway.identify.rest.gain_changes import occasions_of
 from gateway.identify.robust import median
 from gateway.result.result import Finding, SetAside
 
@@ -53,7 +55,8 @@ class Periods:
     Attributes
     ----------
     mean : Table
-        One row per phase of each load and excitation; rows of no period as they were.
+        One row per phase of each recording, load and excitation, in the time of its first period; rows of no period as
+        they were.
     scatter : Scatter
         Noise of the rows of `mean`.
     excitation : array of shape (n,)
@@ -80,18 +83,19 @@ class Periods:
         if not np.isfinite(limit_hz).any():
             return None
         time_s = np.where(np.isfinite(limit_hz), self.mean.time_s, np.nan)
-        return Stretches.of(np.asarray(self.mean.run), time_s).low_pass(len(self.mean), float(np.nanmin(limit_hz)))
+        return Stretches.of(uninterrupted(self.mean), time_s).low_pass(len(self.mean), float(np.nanmin(limit_hz)))
 
     @property
     def contrasts(self) -> Contrasts:
-        """Rows of several loads at the same phases of one excitation."""
-        out, load, place = [], np.asarray(self.mean.load), np.rint(self.mean.time_s / self.step_s)
-        for excitation in np.unique(self.excitation[np.isfinite(self.excitation)]):
+        """Rows of several occasions at the same phases of one excitation."""
+        out, occasion = [], occasions_of(self.mean)[1]
+        periodic = np.isfinite(self.excitation)
+        place = np.rint(np.where(periodic, self.mean.extra.get(PHASE_S, np.nan), np.nan) / self.step_s)
+        for excitation in np.unique(self.excitation[periodic]):
             mine = np.flatnonzero(self.excitation == excitation)
-            labels = np.unique(load[mine])
-            each = [mine[load[mine] == label] for label in labels]
+            each = [mine[occasion[mine] == number] for number in np.unique(occasion[mine])]
             shared = reduce(np.intersect1d, [place[rows] for rows in each])
-            if len(labels) > 1 and len(shared):
+            if len(each) > 1 and len(shared):
                 found = [np.intersect1d(place[rows], shared, return_indices=True)[1] for rows in each]
                 out.append(np.array([rows[at] for rows, at in zip(each, found, strict=True)]))
         return Contrasts(tuple(out))
@@ -120,10 +124,9 @@ def averaged(moving: Table, judged: Mask) -> Periods:
         return Periods(moving, Scatter.none(moving.axes), np.full(len(moving), np.nan))
     keys = [np.where(periodic, moving.extra[name], np.nan) for name in (EXCITATION, PERIOD, PHASE_S)]
     tables, groups, rejected, findings, residuals, slipped, alone, step_s = [], [], [], [], [], {}, {}, np.nan
-    for label, excitation in dict.fromkeys(
-        zip(moving.load[periodic].tolist(), keys[0][periodic].tolist(), strict=True)
-    ):
-        mine = np.flatnonzero(periodic & (moving.load == label) & (keys[0] == excitation))
+    occasions, occasion = occasions_of(moving)
+    for number, excitation in dict.fromkeys(zip(occasion[periodic].tolist(), keys[0][periodic].tolist(), strict=True)):
+        mine, label = np.flatnonzero(periodic & (occasion == number) & (keys[0] == excitation)), occasions[number][1]
         group = _group(mine, moving, keys[1][mine], keys[2][mine])
         step_s = group.step_s
         slip = _slip(moving, group, judged)
@@ -131,7 +134,7 @@ def averaged(moving: Table, judged: Mask) -> Periods:
             slipped.setdefault(label, slip)
         sound, entries = _without_touches(moving, group, judged)
         rejected += entries
-        mean, left = _mean(moving, group, sound, (judged, keys[2], f"mean period {len(groups) + 1}, {label}"))
+        mean, left = _mean(moving, group, sound, judged, keys[2])
         tables.append(mean)
         groups.append(np.full(len(mean), excitation if len(group.rows) > 1 else np.nan))
         residuals.append(left)
@@ -151,10 +154,10 @@ def averaged(moving: Table, judged: Mask) -> Periods:
 
 
 def _group(mine: Ints, moving: Table, period: Floats, phase_s: Floats) -> _Group:
-    """Rows of one load and excitation by period, in time order."""
-    names = [(moving.file[k], str(moving.run[k]), float(number)) for k, number in zip(mine, period, strict=True)]
+    """Rows of one recording, load and excitation by period, in time order."""
+    names = [(moving.file[k], float(number)) for k, number in zip(mine, period, strict=True)]
     order = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    which, numbers = np.array([order[name] for name in names]), np.array([name[2] for name in order])
+    which, numbers = np.array([order[name] for name in names]), np.array([name[1] for name in order])
     steps = np.concatenate([np.diff(np.sort(phase_s[which == k])) for k in range(len(numbers))])
     steps = steps[steps > 0]
     step = float(np.median(steps)) if len(steps) else 1.0
@@ -247,21 +250,20 @@ def _entry(moving: Table, group: _Group, period: int, hit: Mask, far: Floats) ->
 
 
 def _mean(
-    moving: Table, group: _Group, sound: Mask, stated: tuple[Mask, Floats, str]
+    moving: Table, group: _Group, sound: Mask, judged: Mask, phase_s: Floats
 ) -> tuple[Table, list[tuple[Floats, ...]]]:
-    """Mean period, and the deviation of the periods of each axis as noise of the mean (k, n)."""
-    judged, phase_s, name = stated
-    weight = sound / np.maximum(sound.sum(axis=0), 1)
+    """Mean of the `sound` periods (P, n), and the deviation of the periods of each axis as noise of the mean (k, n)."""
     first = group.rows[np.argmax(sound, axis=0), np.arange(sound.shape[1])]
-    one = moving.take(first)
+    one, count = moving.take(first), sound.sum(axis=0)
     if len(group.rows) < 2:
         return one, [() for _ in range(moving.axes)]
     kept = {
-        key: np.einsum("pn,pna->na", weight, np.where(sound[:, :, None], getattr(moving, key)[group.rows], 0.0))
+        key: np.einsum("pn,pna->na", sound / count, np.where(sound[:, :, None], getattr(moving, key)[group.rows], 0.0))
         for key in ("q_rad", "qd_rad_s", "qdd_rad_s2", "tau_nm")
     }
-    mean = replace(one, **kept, run=np.array([name] * len(first)), time_s=phase_s[first])
-    moves, count = _torques(moving, group, judged), sound.sum(axis=0)
+    begins_s = float(np.nan_to_num(np.min(one.time_s - phase_s[first])))
+    extra = {**one.extra, PERIOD: np.full(len(one), group.number[0])}
+    mean, moves = replace(one, **kept, time_s=begins_s + phase_s[first], extra=extra), _torques(moving, group, judged)
     # the deviation of P periods from their mean is smaller than their noise; the mean's noise is smaller again
     away = (moves - kept["tau_nm"]) / np.sqrt(np.maximum(count - 1, 1))[:, None]
     away[~sound | (count < 2)] = np.nan

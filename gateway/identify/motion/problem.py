@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
+from gateway.data.periods import uninterrupted
 from gateway.data.rows import Table
 from gateway.identify.motion.columns import Columns
 from gateway.identify.motion.prior import change_names
@@ -140,7 +141,7 @@ class MotionProblem:
             for axis in range(moving.axes)
             for part in _axis_rows(columns, moving.tau_nm[:, axis], axis, contrasts.of_axis(used[:, axis]), low_pass)
         ]
-        stretches = Stretches.of(np.asarray(moving.run).astype(str), moving.time_s)
+        stretches = Stretches.of(uninterrupted(moving), moving.time_s)
         return MotionProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, tuple(parts), still)
 
 

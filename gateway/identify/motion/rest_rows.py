@@ -7,7 +7,7 @@ Factorization methods, 1977, chapter 5).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,7 @@ from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING
 from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
 from gateway.identify.motion.prior import CHANGE
 from gateway.identify.motion.problem import Still
-from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_nuisance import KINDS
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
@@ -31,28 +29,8 @@ Ints = NDArray[np.int_]
 SHARED = ("gain", "load_friction")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedRest:
-    """Fit of the rest visits alone, with its problem."""
-
-    problem: RestProblem
-    fit: Fit
-
-
-def fitted_rest(visits: Visits, robot: Robot, knowledge: Knowledge) -> FittedRest:
-    """Fit the rest visits alone.
-
-    Raises
-    ------
-    DataUnusable
-        Nothing was measured at rest.
-    """
-    problem = build_problem(robot, visits, knowledge.of_loads(visits.load))
-    return FittedRest(problem, with_place_effects(problem, fit_without_effects(problem)))
-
-
 def columns_beside(
-    moving: Table, robot: Robot, knowledge: Knowledge, motion: MovingSetup, rest: FittedRest | None
+    moving: Table, robot: Robot, knowledge: Knowledge, motion: MovingSetup, rest: Fit | None
 ) -> tuple[Columns, Still | None]:
     """Columns of moving rows, and the information of rest visits on the same parameters, if there are any.
 
@@ -86,9 +64,9 @@ def _as_rows(moving: Table, visits: Visits) -> Table:
     )  # fmt: skip
 
 
-def _still(columns: Columns, rest: FittedRest) -> Still:
+def _still(columns: Columns, fit: Fit) -> Still:
     """Information of the rest rows on the parameters that they share with the moving ones."""
-    problem, fit = rest.problem, rest.fit
+    problem = fit.problem
     reduced, right = _eliminated(problem, fit, _shared(problem))
     rows = np.zeros((len(reduced), len(columns.names)))
     fixed = columns.fixed_links.reshape(-1, PER_LINK_MOVING)[:, :PER_LINK_AT_REST].ravel()

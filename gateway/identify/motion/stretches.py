@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -31,14 +30,15 @@ class Stretches:
     parts: tuple[tuple[Ints, Floats], ...]
 
     @staticmethod
-    def of(run: Sequence[str] | NDArray[np.str_], time_s: Floats) -> Stretches:
-        """Divide rows (n,) into stretches by run and time; rows without a time or in too short a stretch belong to
-        none.
+    def of(part: Ints, time_s: Floats) -> Stretches:
+        """Divide rows (n,) into stretches by part of a recording and time.
+
+        Rows without a time or in too short a stretch belong to none.
         """
-        names, time = np.asarray(run), np.asarray(time_s, dtype=float)
+        time = np.asarray(time_s, dtype=float)
         parts: list[tuple[Ints, Floats]] = []
-        for name in np.unique(names):
-            mine = np.flatnonzero((names == name) & np.isfinite(time))
+        for number in np.unique(part):
+            mine = np.flatnonzero((part == number) & np.isfinite(time))
             mine = mine[np.argsort(time[mine], kind="stable")]
             step = np.diff(time[mine])
             usual = float(np.median(step)) if len(step) else 0.0

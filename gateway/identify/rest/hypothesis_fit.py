@@ -96,14 +96,19 @@ def fit_without_effects(problem: RestProblem) -> Fit:
     return fit(problem, (), first_noise(problem), steps=_STEPS_ALONE)
 
 
-def with_place_effects(problem: RestProblem, fitted: Fit) -> Fit:
+def fit_to_report(problem: RestProblem) -> Fit:
+    """Fit the model without effects, with what rows of one place share: the fit whose numbers are reported."""
+    return with_place_effects(fit_without_effects(problem))
+
+
+def with_place_effects(fitted: Fit) -> Fit:
     """Fit again with what rows of one place share as effects of unknown size; as it is where no rows share a place.
 
     The evidence of the result is not comparable with that of other fits.
     """
+    problem, noise = fitted.problem, fitted.noise
     ends = np.cumsum([len(values) for values in fitted.theta])[:-1]
     spreads = np.split(fitted.prior_std[problem.n_common :], ends) if fitted.terms else []
-    noise = fitted.noise
     effects = PlaceEffects.about(noise.start, noise.std)
     for _ in range(_STEPS_OF_PLACES if problem.places.cells else 0):
         at = _place(fitted)

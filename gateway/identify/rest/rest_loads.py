@@ -163,7 +163,6 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
     direction[mass] = 1.0
     return budget_of(
         fit.noise.whitened_columns(problem, fit.columns),
-        np.ones(len(problem.target)),
         Prior(np.zeros(count), fit.prior_std, further, np.zeros(len(further))),
         fit.covariance,
         direction,

@@ -120,7 +120,7 @@ def test_it_asks_before_it_moves(place, drives, right):
 
 def test_afterwards_the_drives_hold_no_offset_and_the_brakes_hold_the_arm(drives, right):
     (arm,) = drives.simulation.arms
-    assert [(drive.velocity_offset, drive.torque_offset) for drive in arm.drives] == [(0, 0)] * 6
+    assert [(drive.motion.velocity_offset, drive.motion.torque_offset) for drive in arm.drives] == [(0, 0)] * 6
     assert not any(drive.automaton.energised for drive in arm.drives)
 
 
@@ -134,7 +134,6 @@ def test_a_drive_that_faults_while_it_is_fed_takes_every_offset_to_zero(place, t
         assert command.exit_code == 4, command.output
         assert "brought to zero" in command.output
         (arm,) = handle.simulation.arms
-        assert [(drive.velocity_offset, drive.torque_offset) for drive in arm.drives if drive.node_id != 3] == [
-            (0, 0)
-        ] * 5
+        sound = [drive.motion for drive in arm.drives if drive.node_id != 3]
+        assert [(motion.velocity_offset, motion.torque_offset) for motion in sound] == [(0, 0)] * 5
         assert not any(drive.automaton.energised for drive in arm.drives)

@@ -22,7 +22,7 @@ from benchmarks.naming.answers import Answer, read_answers
 from benchmarks.naming.cells import TRUTH, read_cells, write_place
 from benchmarks.naming.score import read_truth
 from gateway.data.table import Table, write_csv
-from sim.inverse import InverseDynamics
+from sim.engine import Engine
 from tests.support.rigs.tables import make_table
 
 SEED = 70_000
@@ -48,7 +48,7 @@ def _exact(cell: MovingCell, moving: bool) -> Table:
         qd = qdd = np.zeros_like(q)
     parts = []
     for label in cell.start_s:
-        with InverseDynamics(cell.arm.carrying(label), cell.arm.gravity_m_s2) as dynamics:
+        with Engine([cell.arm.carrying(label)], cell.arm.gravity_m_s2) as dynamics:
             parts.append((label, dynamics.torque_nm(q, qd, qdd)))
     loads = np.repeat([label for label, _ in parts], len(q))
     torque = np.vstack([tau for _, tau in parts])

@@ -10,11 +10,10 @@ from benchmarks.pair.bus_rig import bus_spec, simulated
 from gateway.errors import FindingFailed
 from gateway.pair.link import open_link
 from gateway.pair.pair_cell import load_pair
-from sim.pair.cell import PairOptions
 
 
 def test_a_turned_polarity_of_the_slave_refuses_both_arms() -> None:
-    with simulated(PairOptions(None)) as (simulation, path, buses):
+    with simulated(None) as (simulation, path, buses):
         thread = threading.Thread(target=simulation.run, name="pair-sim")
         thread.start()
         try:

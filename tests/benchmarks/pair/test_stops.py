@@ -35,7 +35,6 @@ from gateway.pair.pair_store import PairStore
 from gateway.pair.servo_lag import ServoLag
 from gateway.pair.session import cell_gains
 from gateway.pair.transform_function import constant_function, function_of_knots
-from sim.pair.cell import PairOptions
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
 from sim.states import PdsState
@@ -323,7 +322,7 @@ def prove(words: list[str], settings: dict[str, str]) -> None:
 @contextmanager
 def serving(cell: Path, buses: str) -> Iterator[Simulation]:
     """The pair in real time, in a thread."""
-    simulation = Simulation(cell, ServeOptions(bus=buses), PairOptions(None))
+    simulation = Simulation(cell, ServeOptions(bus=buses))
     thread = threading.Thread(target=simulation.run, name="pair-sim")
     thread.start()
     try:

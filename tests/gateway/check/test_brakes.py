@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -14,27 +13,14 @@ from gateway.motion.opening import OpenArm
 from gateway.motion.power import BRAKE_DROP_RAD
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
-from tests.drives.conftest import Wire, on_its_clock
 from tests.support.rigs.wired_arm import Joint, wired_arm
 
 PERIOD_S = 0.01
 
 
 @pytest.fixture
-def arm_at(monkeypatch, small_cell) -> Callable[..., Generator[tuple[OpenArm, list[Joint]]]]:
-    @contextmanager
-    def at(period_s: float = PERIOD_S):
-        wire = Wire()
-        on_its_clock(wire, monkeypatch)
-        with wired_arm(wire, small_cell, period_s) as opened:
-            yield opened
-
-    return at
-
-
-@pytest.fixture
-def rig(arm_at):
-    with arm_at() as opened:
+def rig(small_cell):
+    with wired_arm(small_cell, PERIOD_S) as opened:
         yield opened
 
 
@@ -61,8 +47,8 @@ class Person:
 
 @pytest.mark.parametrize("period_s", [0.004, 0.01])
 @pytest.mark.parametrize("acceleration", [2.0, 5.0, 10.0])
-def test_an_axis_that_falls_is_held_again_at_the_first_sync_beyond_the_limit(arm_at, period_s, acceleration):
-    with arm_at(period_s) as (opened, slaves):
+def test_an_axis_that_falls_is_held_again_at_the_first_sync_beyond_the_limit(small_cell, period_s, acceleration):
+    with wired_arm(small_cell, period_s) as (opened, slaves):
         slave = slaves[0]
         slave.falls_rad_s2 = acceleration
         person = Person(opened, slaves)

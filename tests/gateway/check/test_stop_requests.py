@@ -15,17 +15,14 @@ from gateway.errors import LimitExceeded
 from gateway.motion.opening import OpenArm
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
-from tests.drives.conftest import Wire, on_its_clock
 from tests.support.rigs.wired_arm import Joint, last_set_point, ramp_syncs, wired_arm
 
 PERIOD_S = 0.02
 
 
 @pytest.fixture
-def rig(monkeypatch, small_cell) -> Iterator[tuple[OpenArm, list[Joint]]]:
-    wire = Wire()
-    on_its_clock(wire, monkeypatch)
-    with wired_arm(wire, small_cell, PERIOD_S) as opened:
+def rig(small_cell) -> Iterator[tuple[OpenArm, list[Joint]]]:
+    with wired_arm(small_cell, PERIOD_S) as opened:
         yield opened
 
 
@@ -101,12 +98,9 @@ PHASES = (
 
 @pytest.fixture(scope="module")
 def phases(small_cell) -> dict[str, int]:
-    wire = Wire()
-    with pytest.MonkeyPatch.context() as patch:
-        on_its_clock(wire, patch)
-        with wired_arm(wire, small_cell, PERIOD_S) as (opened, slaves):
-            assert prove_stop(opened).passed
-            found = phases_of(slaves[0])
+    with wired_arm(small_cell, PERIOD_S) as (opened, slaves):
+        assert prove_stop(opened).passed
+        found = phases_of(slaves[0])
     assert tuple(found) == PHASES
     return found
 

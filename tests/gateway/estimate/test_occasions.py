@@ -77,9 +77,26 @@ def both(load: str, run: str, gain=0.0, start_s=0.0) -> Table:
     return concatenate([rest(load, run, gain, start_s), motion(load, run, gain, start_s + 300.0)])
 
 
+def periods(load: str, run: str, gain=0.0, start_s=0.0) -> Table:
+    """Three periods of one excitation, as a recording has them."""
+    parts, rng = [], np.random.default_rng([2, len(run)])
+    for number in range(3):
+        one = motion(load, run, gain, start_s + 12.0 * number)
+        noisy = one.tau_nm + 0.02 * BAND_NM * rng.standard_normal(one.tau_nm.shape)
+        count = np.ones(len(one))
+        marks = {"x_excitation": 7.0 * count, "x_period": number * count, "x_phase_s": np.arange(len(one)) * 0.02}
+        parts.append(replace(one, tau_nm=noisy, extra=marks))
+    return concatenate(parts)
+
+
 def off(load) -> float:
     """Error of a mass in standard deviations."""
     return abs(load.mass_kg - LOAD[0]) / load.mass_std_kg
+
+
+def occasions(found) -> int:
+    """Number of occasions, each with its change of gain."""
+    return len({name.split("[")[0] for name in found.names if name.startswith("change")})
 
 
 @pytest.mark.parametrize("recorded", [motion, both])
@@ -89,6 +106,27 @@ def test_recordings_in_motion_may_read_differently(recorded, change):
     (load,) = estimate(table, ROBOT, PRECISE).loads
     assert off(load) < 2.5
     assert load.mass_std_kg < 0.02 * LOAD[0]
+
+
+def test_a_recording_at_rest_and_in_periods_is_one_occasion():
+    """Both read with one change of gain: taken for two occasions, they would seem to average it out."""
+    still = [rest("none", "r"), rest("tool", "s", CHANGE, 2000.0)]
+    moved = [periods("none", "r", start_s=300.0), periods("tool", "s", CHANGE, 2300.0)]
+    apart = [replace(table, run=np.full(len(table), f"{table.run[0]} at rest")) for table in still]
+    one, two = (estimate(concatenate([*tables, *moved]), ROBOT, PRECISE) for tables in (still, apart))
+    assert (occasions(one), occasions(two)) == (2, 4)
+    assert off(one.loads[0]) < 2.5
+    assert one.loads[0].mass_std_kg > 1.05 * two.loads[0].mass_std_kg
+
+
+def test_periods_are_averaged_within_a_recording():
+    """Two recordings of one load read differently: each is an occasion, and none is averaged with the other."""
+    tools = [periods("tool", run, sign * CHANGE, 100.0 * k) for k, (run, sign) in enumerate((("s", 1), ("t", -1)))]
+    found = estimate(concatenate([periods("none", "r"), *tools]), ROBOT, PRECISE)
+    assert occasions(found) == 3
+    second, third = (found.value[found.names.index(f"change_{k}[J2]")] for k in (2, 3))
+    assert np.sign(second - third) == np.sign(CHANGE[1])
+    assert off(found.loads[0]) < 2.5
 
 
 def test_three_percent_mean_the_same_in_motion_whether_stated_or_usual():

@@ -27,7 +27,7 @@ def test_shares_are_those_of_the_variance_when_one_source_alone_varies():
     design, weight, prior = problem()
     covariance = solve(design, np.zeros(20), weight, prior).covariance
     direction = np.array([1.0, 0.0, 0.0, 0.5])
-    found = budget_of(ByGroup.of(design), weight, prior, covariance, direction, SOURCES)
+    found = budget_of(ByGroup.of(design * weight[:, None]), prior, covariance, direction, SOURCES)
     rng = np.random.default_rng(1)
     draws = {source: [] for source in found}
     for source, values in draws.items():
@@ -49,23 +49,17 @@ def test_shares_are_those_of_the_variance_when_one_source_alone_varies():
 def test_the_order_does_not_matter():
     design, weight, prior = problem()
     covariance = solve(design, np.zeros(20), weight, prior).covariance
-    order = np.random.default_rng(2).permutation(20)
+    weighted, order = design * weight[:, None], np.random.default_rng(2).permutation(20)
     direction = np.array([1.0, 0.0, 0.0, 0.0])
-    one = budget_of(ByGroup.of(design), weight, prior, covariance, direction, SOURCES)
-    two = budget_of(
-        ByGroup.of(design[order]),
-        weight[order],
-        prior,
-        covariance,
-        direction,
-        Sources(SOURCES.row[order], SOURCES.parameter),
-    )
+    one = budget_of(ByGroup.of(weighted), prior, covariance, direction, SOURCES)
+    other = Sources(SOURCES.row[order], SOURCES.parameter)
+    two = budget_of(ByGroup.of(weighted[order]), prior, covariance, direction, other)
     assert one == pytest.approx(two)
 
 
 def test_nothing_has_no_budget():
     design, weight, prior = problem()
-    assert budget_of(ByGroup.of(design), weight, prior, np.zeros((4, 4)), np.ones(4), SOURCES) == {}
+    assert budget_of(ByGroup.of(design * weight[:, None]), prior, np.zeros((4, 4)), np.ones(4), SOURCES) == {}
 
 
 def test_shares_of_a_variance_are_those_of_the_linear_model():

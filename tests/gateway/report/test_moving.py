@@ -112,6 +112,9 @@ def test_a_period_that_was_tried_slowly_is_not_drawn_and_lines_break_at_a_stands
     tau = [list(row) for row in rows.tau_nm]
     drawn = period_of(replace(moving, rows=replace(rows, time_s=time_s)))
     assert drawn.run != slow
+    later_s = tuple(at + 1e3 * (run == slow) for at, run in zip(time_s, rows.run, strict=True))
+    merged = replace(rows, time_s=later_s, run=tuple(drawn.run if run == slow else run for run in rows.run))
+    assert len(period_of(replace(moving, rows=merged)).time_s) == len(drawn.time_s)
     mine = [row for row, run in enumerate(rows.run) if run == drawn.run]
     for row in mine[len(mine) // 3 : len(mine) // 2]:
         tau[row][0] = NAN

@@ -7,8 +7,8 @@ import pinocchio
 import pytest
 
 from sim.pair import geometry
+from sim.pair.gap import Rig, ranges
 from sim.pair.pair_errors import draw
-from sim.pair.ranges import Rig, ranges
 from sim.urdf import translation, turn
 from tests.sim.conftest import reference_arms
 

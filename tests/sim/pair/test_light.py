@@ -13,7 +13,7 @@ import pytest
 
 from sim.cellfile import read_cell
 from sim.pair.body import load_pair
-from sim.pair.cell import PairOptions, pair_units
+from sim.pair.cell import pair_units
 from sim.pair.geometry import jacobian
 from sim.pair.light import LightWorld
 from sim.pair.two_arms import STEP_S, TwoArms
@@ -34,8 +34,7 @@ def world_of() -> Iterator[Worlds]:
     made: list[TwoArms] = []
 
     def build(plant: str = "light", seed: int | None = None, **settings: object) -> TwoArms:
-        options = PairOptions(seed, plant=plant, settings=settings)  # type: ignore[arg-type]
-        made.append(pair_units(read_cell(CELL), options)["left"].world)
+        made.append(pair_units(read_cell(CELL), seed, settings, plant)["left"].world)  # type: ignore[arg-type]
         return made[-1]
 
     yield build
@@ -47,10 +46,10 @@ def world_of() -> Iterator[Worlds]:
 def simulation_of() -> Iterator[Callable[..., Simulation]]:
     made: list[Simulation] = []
 
-    def build(cell: Path, pair: PairOptions | None = None, **options: object) -> Simulation:
+    def build(cell: Path, plant: str | None = None, **options: object) -> Simulation:
         name = uuid.uuid4().hex
         bus = f"virtual:{name}" if "pair" not in str(cell) else f"left=virtual:{name}l;right=virtual:{name}r"
-        made.append(Simulation(cell, ServeOptions(bus=bus, **options), pair))  # type: ignore[arg-type]
+        made.append(Simulation(cell, ServeOptions(bus=bus, **options), plant=plant))  # type: ignore[arg-type]
         return made[-1]
 
     yield build
@@ -244,12 +243,12 @@ def test_an_axis_that_has_too_little_torque_reports_it_and_drops(world_of: World
 
 
 def test_pacing_chooses_the_plant(simulation_of: Callable[..., Simulation]) -> None:
-    def plant(pacing: str, pair: PairOptions | None = None) -> type:
-        return type(simulation_of(CELL, pair, pacing=pacing).arms[0].world)
+    def plant(pacing: str, stated: str | None = None) -> type:
+        return type(simulation_of(CELL, stated, pacing=pacing).arms[0].world)
 
     assert plant("real") is LightWorld
     assert plant("lockstep") is PairWorld
-    assert plant("real", PairOptions(plant="bullet")) is PairWorld
+    assert plant("real", "bullet") is PairWorld
 
 
 def test_time_is_what_both_buses_have_seen_and_is_complete_at_a_sync(simulation_of: Callable[..., Simulation]) -> None:
@@ -281,13 +280,13 @@ def test_a_quick_stop_by_the_clock_takes_its_ramp_and_ends_in_the_brake(
                 unit.advance(SYNC_S)
 
     drive = left.drives[2]
-    drive.take_mode(8)
+    drive.motion.take_mode(8)
     for word in (0x06, 0x07, 0x0F):
         drive.take_controlword(word)
     pass_(0.1)
-    start, step = drive.position_counts(), round(0.5 * SYNC_S * drive.counts_per_joint_rad)
+    start, step = drive.position_counts(), round(0.5 * SYNC_S * drive.motion.counts_per_joint_rad)
     for number in range(1, 51):
-        drive.take_target(start + step * number)
+        drive.motion.take_target(start + step * number)
         pass_(SYNC_S)
     assert drive.axis.omega_rad_s == pytest.approx(0.5, rel=0.05)
     drive.store.values[0x6085, 0] = round(2.0 * abs(drive.spec.gear_ratio) * drive.units.velocity.bits_per_unit)

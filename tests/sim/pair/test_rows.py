@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from sim.cellfile import ArmSpec, read_cell
 from sim.engine import bullet
 from sim.pair.body import load_pair
-from sim.pair.cell import PairOptions, pair_units
+from sim.pair.cell import pair_units
 from sim.pair.geometry import ArmGeometry, tip
 from sim.pair.pair_errors import GEAR_STIFFNESS_NM_RAD, draw
 from sim.pair.rows import rows_of
@@ -27,7 +27,7 @@ ROBOTS = {"large": "large-small.toml", "seven": "seven-six.toml"}
 
 
 def world_of(file: str, seed: int | None = 0, plant: str = "bullet") -> TwoArms:
-    units = pair_units(read_cell(UNEQUAL / file), PairOptions(seed, plant=plant))  # type: ignore[arg-type]
+    units = pair_units(read_cell(UNEQUAL / file), seed, plant=plant)  # type: ignore[arg-type]
     return units["left"].world
 
 
@@ -63,7 +63,7 @@ def test_the_example_s_arms_are_the_table_to_the_last_bit() -> None:
 
 
 def test_the_example_s_errors_are_those_of_the_reference_arms() -> None:
-    world = pair_units(read_cell(EXAMPLES / "pair" / "cell.toml"), PairOptions(3))["left"].world
+    world = pair_units(read_cell(EXAMPLES / "pair" / "cell.toml"), 3)["left"].world
     world.close()
     errors = draw(3, reference_arms())
     for truth, drawn in zip(world.arms, (errors.master, errors.slave), strict=True):
@@ -112,7 +112,7 @@ def test_links_weigh_in_the_rows_what_they_weigh_in_the_file(robot: str) -> None
     """Torques that hold an arm without a part and move it: two branches from rows, and PyBullet's own reading."""
     cell = read_cell(UNEQUAL / ROBOTS[robot])
     cell = replace(cell, pair={**cell.pair, "part_mass_kg": 0.0})
-    world = pair_units(cell, PairOptions(None, plant="bullet"))["left"].world
+    world = pair_units(cell, None, plant="bullet")["left"].world
     axes = len(cell.arms[0].axes)
     rng = np.random.default_rng(6)
     q, qd, qdd = rng.uniform(-1.5, 1.5, (3, world.joints))
@@ -142,7 +142,7 @@ def test_a_small_arm_has_gears_as_stiff_as_their_torque_asks_for() -> None:
 def test_thirteen_joints_have_a_deviation_that_differences_agree_with(roles: tuple[str, str]) -> None:
     cell = read_cell(UNEQUAL / "seven-six.toml")
     cell = replace(cell, pair={**cell.pair, "master": roles[0], "slave": roles[1]})
-    world = pair_units(cell, PairOptions(0, plant="light"))["left"].world
+    world = pair_units(cell, 0, plant="light")["left"].world
     world.close()
     part, rng = world.part, np.random.default_rng(1)
     q = world.q + rng.normal(0.0, 1e-3, 13)
@@ -169,8 +169,8 @@ def test_a_delayed_sync_of_the_slave_keeps_its_joints_back_and_leaves_the_master
     """Arms that hold no part, all joints at 0.1 rad/s: 1 ms is 0.1 mrad, from the eighth joint on."""
     places = []
     for skew_s in (0.0, 1e-3):
-        options = PairOptions(None, settings={"skew_s": skew_s}, plant=plant)  # type: ignore[arg-type]
-        world = pair_units(read_cell(UNEQUAL / "seven-six.toml"), options)["left"].world
+        cell = read_cell(UNEQUAL / "seven-six.toml")
+        world = pair_units(cell, None, {"skew_s": skew_s}, plant)["left"].world  # type: ignore[arg-type]
         world.part.let_go()
         power(world)
         for axis in world.motors.axes:

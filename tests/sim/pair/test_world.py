@@ -11,7 +11,7 @@ import pytest
 from sim.cellfile import read_cell
 from sim.engine import bullet
 from sim.pair.body import load_pair
-from sim.pair.cell import PairOptions, pair_units
+from sim.pair.cell import pair_units
 from sim.pair.geometry import frames, jacobian, tip
 from sim.pair.two_arms import STEP_S
 from sim.pair.workpiece import Stiffness, Workpiece
@@ -22,7 +22,7 @@ CELL = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
 
 
 def world_of(seed: int | None = 0, **settings: object) -> PairWorld:
-    units = pair_units(read_cell(CELL), PairOptions(seed, settings=settings, plant="bullet"))
+    units = pair_units(read_cell(CELL), seed, settings, "bullet")
     return units["left"].world
 
 

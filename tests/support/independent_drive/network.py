@@ -16,18 +16,15 @@ Callback = Callable[[int, bytes], None]
 EXPEDITED, EXPEDITED_MASK, SIZE_BITS = 0x42, 0xE2, 0x0D
 
 
-def zero_extended(data: bytes) -> bytes:
-    """SDO answer of a drive that answers every object with four bytes, filled up with zeros."""
-    if data[0] & EXPEDITED_MASK == EXPEDITED:
-        return bytes([0x43]) + data[1:]
-    return data
+def expedited_as(first: int) -> Callable[[bytes], bytes]:
+    """SDO answers of a drive whose expedited ones all have this first byte."""
+    return lambda data: bytes([first]) + data[1:] if data[0] & EXPEDITED_MASK == EXPEDITED else data
 
 
-def no_size(data: bytes) -> bytes:
-    """SDO answer of a drive that does not indicate how many of the four bytes are data (CiA 301 7.2.4.3.6, s = 0)."""
-    if data[0] & EXPEDITED_MASK == EXPEDITED:
-        return bytes([0x42]) + data[1:]
-    return data
+#: A drive that answers every object with four bytes, filled up with zeros.
+zero_extended = expedited_as(0x43)
+#: A drive that does not indicate how many of the four bytes are data (CiA 301 7.2.4.3.6, s = 0).
+no_size = expedited_as(0x42)
 
 
 class Timers(AbstractScheduler):

@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
+import pytest
 
 from drives.bus import Bus, BusSpec
 from drives.group import DriveGroup
@@ -23,7 +24,7 @@ from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
 from gateway.motion.opening import OpenArm
 from gateway.motion.workspace import Workspace, workspace_of
-from tests.drives.conftest import Slave, Wire
+from tests.drives.conftest import Slave, Wire, on_its_clock
 
 COUNTS = 65536
 CONSUMER_MS = 500
@@ -108,8 +109,9 @@ class Joint(Slave):
 
 
 @contextmanager
-def wired_arm(wire: Wire, loaded: LoadedCell, period_s: float = 0.01) -> Generator[tuple[OpenArm, list[Joint]]]:
+def wired_arm(loaded: LoadedCell, period_s: float) -> Generator[tuple[OpenArm, list[Joint]]]:
     """The first arm of a cell, connected and configured, in its brakes at a free posture; with its slaves."""
+    wire = Wire()
     config = loaded.cell.arm[0]
     axes = AxisConversion.from_arm(config)
     profile = load_profile("generic-cia402")
@@ -126,10 +128,12 @@ def wired_arm(wire: Wire, loaded: LoadedCell, period_s: float = 0.01) -> Generat
     wire.slaves += slaves
     setups = [AxisSetup(axis.node_id, profile, 0.5, 600.0) for axis in config.axis]
     with (
+        pytest.MonkeyPatch.context() as patch,
         Disk() as disk,
         Bus(wire, BusSpec("test", "wire")) as bus,
         DriveGroup(bus, setups, period_s, "lockstep") as group,
     ):
+        on_its_clock(wire, patch)
         group.connect()
         group.configure()
         yield (

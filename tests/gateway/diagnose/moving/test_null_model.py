@@ -183,7 +183,7 @@ def test_a_fit_of_the_search_is_that_of_an_estimate_with_the_same_columns(trust,
     noise = MovingNoise(np.linspace(0.5, 3.0, 6), np.full(6, 0.25))
     everything = np.ones(len(motion), dtype=bool)
     found = fit(MovingProblem(motion, null, noise, ()), (), everything, ~everything)
-    problem = MotionProblem.of(null.columns, motion, motion.judged, Contrasts())
+    problem = MotionProblem.of(null.columns, table, motion.judged, Contrasts())
     settled = settle(problem, 1.0 / noise.weight)
     assert any(found.at_limit(index) for index in null.usual), "limits are part of the model"
     judged = motion.judged

@@ -13,8 +13,8 @@ from gateway.diagnose import close_loop, diagnose, next_poses
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.errors import InputError
 from gateway.result.result import Result, from_json, to_json
+from sim.effects import add_passive
 from sim.offline import link_frames
-from sim.request import add_passive
 from tests.data.resting_arm import Bench, effect, found
 
 

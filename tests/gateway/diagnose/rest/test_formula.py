@@ -1,4 +1,4 @@
-"""Candidate formula for a mechanism that is in no library; the true forms are those of `sim.off_library`."""
+"""Candidate formula for a mechanism that is in no library; the true forms are those of `sim.effects`."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gateway.data.table import write_csv
-from sim.request import add_passive
+from sim.effects import add_passive
 from tests.data.moving_arm import URDF, World, measured
 from tests.data.product_copy import ProductCopy
 from tests.data.resting_arm import Bench
