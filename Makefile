@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow test-diagnose test-others lint docs bench blind blind-nature blind-moving naming loads golden calibrated conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
+.PHONY: venv demo test test-slow test-unclocked test-clock lint docs bench blind blind-nature blind-moving naming loads golden calibrated conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
 
 venv: $(STAMP)
 
@@ -30,21 +30,23 @@ $(SIM_STAMP): pyproject.toml constraints.txt
 demo: $(if $(wildcard $(STAMP)),$(STAMP),$(SIM_STAMP))
 	$(BIN)/python -m sim.demo --out out/demo
 
+# Tests in lockstep wait for processes and for the disk: three of them keep two cores busy.
+WORKERS ?= 3
+TESTS := $(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup
+
 # Before every commit: the fast suite.
 test: venv
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not slow"
+	$(TESTS) -m "not slow"
 
-# Before a merge: whole commands, property tests with more examples, then alone on the machine what runs by its clock.
-WORKERS ?= 2
-SLOW := $(BIN)/python -m pytest --dist loadgroup -m "(slow or hypothesis) and not clock" --hypothesis-profile=slow
-test-slow: test-diagnose test-others
+# Before a merge: whole commands, property tests with more examples, and what moves by the clock.
+test-slow: test-unclocked test-clock
 
-test-diagnose: venv
-	$(SLOW) -n $(WORKERS) tests/gateway/diagnose
+test-unclocked: venv
+	$(TESTS) -m "(slow or hypothesis) and not clock" --hypothesis-profile=slow
 
-test-others: venv
-	$(SLOW) -n $(WORKERS) --ignore=tests/gateway/diagnose
-	$(BIN)/python -m pytest -m clock
+# Alone on the machine.
+test-clock: venv
+	$(BIN)/python -m pytest -m clock $$(grep -rl --include="test_*.py" "mark.clock" tests)
 
 lint: venv
 	$(BIN)/ruff check .

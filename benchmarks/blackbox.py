@@ -6,10 +6,8 @@ kind. Faults of the master itself run in a process of its own, in real time.
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +31,7 @@ from benchmarks.chaos.scenarios import (
     short_plan,
 )
 from benchmarks.figure import conclude, figure
+from benchmarks.program import options
 from drives.bus import BusSpec
 from drives.errors import DriveError
 from gateway.acquire.session import RecordRequest, record
@@ -226,13 +225,12 @@ def _in_words(each: Stop) -> Stop:
     return each
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Stop once by every kind; exit 1 when a box is missing."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.blackbox", description=__doc__)
+    parser = options(__doc__, "out/blackbox")
     parser.add_argument("kinds", nargs="*", help="kinds of faults; all that stop an arm by default")
-    parser.add_argument("--out", type=Path, default=Path("out/blackbox"))
     parser.add_argument("--kills", type=int, default=10, help="of the master by SIGKILL")
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     found: list[Stop] = []
     wanted = arguments.kinds or [*stopping(), *MASTERS]
     masters = [kind for kind in wanted if kind in MASTERS]
@@ -243,10 +241,8 @@ def main(argv: list[str]) -> int:
             found.append(_in_words(each))
     if masters:
         found += [_in_words(each) for each in of_masters(masters, arguments.kills)]
-    report = figures(found)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    return conclude(report, arguments.out)
+    return conclude(figures(found), arguments.out)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

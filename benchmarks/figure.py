@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,20 +69,23 @@ def middle(values: Sequence[float], goal: str = "printed", unit: str = "median o
     return entry if known else entry | {"met": None}
 
 
+def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str | None = None) -> None:
+    """Print rows of texts or numbers under their columns."""
+    table = RichTable(*columns, title=title)
+    for row in rows:
+        table.add_row(*map(str, row))
+    Console(width=170).print(table)
+
+
 def show(figures: Figures) -> None:
     """Print the figures as a table: value, interval, goal, and whether it is met."""
-    table = RichTable("figure", "value", "interval", "unit", "goal", "met")
+    rows = []
     for name, entry in figures.items():
         interval = entry.get("interval")
-        table.add_row(
-            name,
-            f"{entry['value']:.4g}",
-            "" if not interval else f"{interval[0]:.4g} .. {interval[1]:.4g}",
-            entry.get("unit", ""),
-            entry.get("goal", ""),
-            {True: "yes", False: "MISSED", None: ""}[entry.get("met")],
-        )
-    Console(width=150).print(table)
+        between = "" if not interval else f"{interval[0]:.4g} .. {interval[1]:.4g}"
+        met = {True: "yes", False: "MISSED", None: ""}[entry.get("met")]
+        rows.append((name, f"{entry['value']:.4g}", between, entry.get("unit", ""), entry.get("goal", ""), met))
+    print_table(("figure", "value", "interval", "unit", "goal", "met"), rows)
 
 
 def write(figures: Figures, out: Path, **beside: Any) -> None:

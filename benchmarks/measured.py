@@ -7,7 +7,6 @@ time. The interval of a ratio is that of a bootstrap over stretches of time.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
@@ -17,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from benchmarks.figure import conclude, figure
+from benchmarks.program import options
 from gateway.data.rows import concatenate
 from gateway.data.table import Table, read_csv
 from gateway.diagnose import diagnose
@@ -52,11 +52,9 @@ def judged(path: Path) -> tuple[Result, str, float]:
     return diagnose(fitted, robot, holdout=held), kind, time.perf_counter() - start
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Print the residual of every axis without and with what was found."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.measured", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/measured"))
-    arguments = parser.parse_args(argv)
+    arguments = options(__doc__, "out/measured").parse_args()
     data = os.environ.get("SERVO_GATEWAY_DATA")
     if not data:
         print("SERVO_GATEWAY_DATA names no folder with the measured runs", file=sys.stderr)
@@ -76,4 +74,4 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

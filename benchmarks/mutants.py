@@ -9,7 +9,6 @@ the others, then the slow suite. What no test notices is listed with its place.
 
 from __future__ import annotations
 
-import argparse
 import ast
 import os
 import random
@@ -30,6 +29,7 @@ from coverage import CoverageData
 from coverage.parser import PythonParser
 
 from benchmarks.figure import conclude, figure
+from benchmarks.program import options
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 #: Packages with the share of mutants that has to be detected.
@@ -251,15 +251,13 @@ def tried(mutants: Sequence[Mutant], jobs: int) -> list[str]:
             return list(pool.map(one, mutants, first))
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.mutants", description=__doc__)
+    parser = options(__doc__, "out/mutants", jobs=2)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--packages", default=",".join(PACKAGES))
-    parser.add_argument("--out", type=Path, default=Path("out/mutants"))
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     mutants = draw(arguments.count, arguments.seed, arguments.packages.split(","))
     seen = tried(mutants, arguments.jobs)
     figures: dict[str, dict] = {}
@@ -277,4 +275,4 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

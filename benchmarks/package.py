@@ -7,21 +7,19 @@ Leaves the wheel, `sbom.cdx.json` (CycloneDX) and `licences.md` in the folder.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 from benchmarks.figure import conclude, figure
+from benchmarks.program import options
 from tests.support.package import build_wheel, forgotten, help_s, install, misplaced, size_mb
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.package", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/package"))
-    out: Path = parser.parse_args(argv).out
+    out: Path = options(__doc__, "out/package").parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as one, tempfile.TemporaryDirectory() as other:
         first, second = build_wheel(Path(one)), build_wheel(Path(other))
@@ -53,4 +51,4 @@ def _bill_of_materials(python: Path, out: Path) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

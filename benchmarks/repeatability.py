@@ -10,13 +10,10 @@ deviations are left out. Development seeds start at 70000, test seeds at 80000.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Iterator
 from itertools import count, islice
-from pathlib import Path
 
-from benchmarks.one_thread import one_thread
+from benchmarks.program import one_thread, options
 
 SEEDS = {"dev": 70000, "test": 80000}
 REPETITIONS = 20
@@ -25,19 +22,17 @@ HALF_WIDTH = 1.96
 DRAWS = 2000
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.repeatability", description=__doc__)
+    parser = options(__doc__, "out/repeatability")
     parser.add_argument("--arms", type=int, default=30)
     parser.add_argument("--seeds", choices=SEEDS, default="dev")
-    parser.add_argument("--out", type=Path, default=Path("out/repeatability"))
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     one_thread()
     from benchmarks.figure import conclude
 
     arms = list(islice(measured_arms(SEEDS[arguments.seeds]), arguments.arms))
-    result = figures(arms)
-    return conclude(result, arguments.out, arms=arms)
+    return conclude(figures(arms), arguments.out, arms=arms)
 
 
 def measured_arms(first_seed: int) -> Iterator[dict]:
@@ -121,4 +116,4 @@ def _ratio(values: list[float], *, is_goal: bool = True) -> dict:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

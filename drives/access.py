@@ -109,8 +109,7 @@ class NodeAccess:
             return
         step = Step(entry.index, entry.subindex, entry.type, value, reason)
         self._ledger.note(self._entry(step, now))
-        self._send(step)
-        self._read_back(step, options)
+        self.write_step(step, options)
 
     def note_steps(self, steps: Sequence[Step], writer: Writer = "run") -> dict[Address, tuple[str, int]]:
         """Record writes in the ledger, all of them before the first one is sent.
@@ -120,12 +119,12 @@ class NodeAccess:
         dict
             (index, subindex) -> (type, value that the object holds now).
         """
-        held = {(step.index, step.subindex): (step.data_type, self._before(step)) for step in steps}
-        entries = [self._entry(step, held[step.index, step.subindex][1], writer) for step in steps]
+        held = {step.address: (step.data_type, self._before(step.address, step.data_type)) for step in steps}
+        entries = [self._entry(step, held[step.address][1], writer) for step in steps]
         self._ledger.note(*entries)
         return held
 
-    def write_step(self, step: Step) -> None:
+    def write_step(self, step: Step, options: Transfer = NORMAL) -> None:
         """Write a parameter that is recorded in the ledger, even without permission of the profile; read it back.
 
         Raises
@@ -136,15 +135,12 @@ class NodeAccess:
             The transfer failed.
         """
         self._send(step)
-        self._read_back(step, NORMAL)
-
-    def _read_back(self, step: Step, options: Transfer) -> None:
-        back = self.sdo.read(step.index, step.subindex, step.data_type, options)
-        self._ledger.confirm(self.device, {(step.index, step.subindex): back})
+        back = self.sdo.read(*step.address, step.data_type, options)
+        self._ledger.confirm(self.device, {step.address: back})
         if back != step.value:
             what = f"{step.value:#x} was written, but {back:#x} is read back"
             self.refuse(step, what, "the drive limits or ignores this value")
-        self._configured[step.index, step.subindex] = (step.data_type, back)
+        self._configured[step.address] = (step.data_type, back)
 
     def changed(self, without: Collection[Address] = ()) -> Iterator[tuple[Address, int, int]]:
         """Read every configured object again and yield those that have changed.
@@ -186,17 +182,17 @@ class NodeAccess:
         with contextlib.suppress(ForeignMaster):
             self._send_back(old)
         self._configured.clear()
-        left = {address for address, (_, value) in old.items() if self._held(old, address) != value}
+        left = {address for address, (data_type, value) in old.items() if self._held(address, data_type) != value}
         self._ledger.exchange(
             [entry for entry in self.noted if entry.address not in left],
             [entry for entry in noted if entry.address not in left],
         )
         return [f"node {self.node_id}:{object_name(*address)}" for address in sorted(left)]
 
-    def _held(self, objects: dict[Address, tuple[str, int]], address: Address) -> int | None:
+    def _held(self, address: Address, data_type: str) -> int | None:
         """Return the present value of an object; None = it cannot be read."""
         try:
-            return self._before(Step(*address, objects[address][0], 0, ""))
+            return self._before(address, data_type)
         except SdoError:
             return None
 
@@ -210,16 +206,15 @@ class NodeAccess:
             (index, subindex) -> why it was not written.
         """
         steps = restore_steps(old)
-        self._ledger.expect(self.device, [((step.index, step.subindex), step.value) for step in steps])
+        self._ledger.expect(self.device, [(step.address, step.value) for step in steps])
         refused: dict[Address, DriveError] = {}
         for step in steps:
             try:
                 self._send(step, SLOW)
-            except SdoTimeout as error:
-                refused[step.index, step.subindex] = error
-                break
             except SdoError as error:
-                refused[step.index, step.subindex] = error
+                refused[step.address] = error
+                if isinstance(error, SdoTimeout):
+                    break
         return refused
 
     def may_write(self, index: int) -> bool:
@@ -265,7 +260,7 @@ class NodeAccess:
         """
         for entry in self._ledger.of_other_bus(self.device):
             known = any(note.address == entry.address for note in self.noted)
-            if not known and self._held({entry.address: (entry.data_type, 0)}, entry.address) == entry.new != entry.old:
+            if not known and self._held(entry.address, entry.data_type) == entry.new != entry.old:
                 what = (
                     f"holds {entry.new:#x}, which a run wrote over {entry.bus} to a drive like this (no serial number)"
                 )
@@ -292,11 +287,11 @@ class NodeAccess:
     def _send(self, step: Step, options: Transfer = NORMAL) -> None:
         """Write a parameter; if no response arrives, read it back and write it once more if the value differs."""
         self.bus.check_free()
-        words = (step.index, step.subindex, step.data_type, step.value)
+        words = (*step.address, step.data_type, step.value)
         try:
             self.sdo.write(*words, options)
         except SdoTimeout:
-            if self.sdo.read(step.index, step.subindex, step.data_type) != step.value:
+            if self.sdo.read(*step.address, step.data_type) != step.value:
                 self.sdo.write(*words, options)
 
     def _entry(self, step: Step, old: int, writer: Writer = "run") -> LedgerEntry:
@@ -353,12 +348,12 @@ class NodeAccess:
                 advice = "the drive's PDOs may be fixed: see its manual"
                 raise ConfigurationRefused(what, node=self.node_id, index=plan.mapping, advice=advice)
 
-    def _before(self, step: Step) -> int:
-        """Return an object's value before a write; None for a mapping entry beyond the mapped ones."""
+    def _before(self, address: Address, data_type: str) -> int:
+        """Return an object's value before a write; 0 for a mapping entry beyond the mapped ones."""
         try:
-            return self.sdo.read(step.index, step.subindex, step.data_type)
+            return self.sdo.read(*address, data_type)
         except SdoAbort as abort:
-            if abort.code in ABSENT and 0x1600 <= step.index < 0x1C00:
+            if abort.code in ABSENT and 0x1600 <= address[0] < 0x1C00:
                 return 0
             raise
 
@@ -439,7 +434,7 @@ class NodeAccess:
         held: dict[Address, int] = {}
         for entry in entries:
             try:
-                held[entry.address] = self._before(Step(*entry.address, entry.data_type, 0, ""))
+                held[entry.address] = self._before(entry.address, entry.data_type)
             except SdoTimeout:
                 raise
             except SdoError as error:

@@ -33,8 +33,3 @@ def cycle_bits_worst(sizes_bytes: Iterable[int]) -> int:
 def load_percent(bits: float, duration_s: float, bitrate_bit_s: float) -> float:
     """Return the bus load of `bits` sent in `duration_s` [%]."""
     return 100.0 * bits / (duration_s * bitrate_bit_s)
-
-
-def largest_rate_hz(bits: int, bitrate_bit_s: float, limit_percent: float = 100.0) -> float:
-    """Return the largest cycle rate whose bus load is within a limit [Hz]."""
-    return bitrate_bit_s * limit_percent / 100.0 / bits

@@ -7,17 +7,20 @@ kept, because drives synchronise their own clocks to it. The delay of each SYNC 
 from __future__ import annotations
 
 import gc
+import math
 import time
 from collections import deque
 from typing import Final
 
-from drives.bus import Bus
+from drives.bus import SYNC_ID, Bus
 
 #: Latenesses that are kept for the quantiles.
 KEPT: Final = 10_000
 #: Before the deadline the receive path is left this early, the rest is slept and at last spun.
 _LEAVE_S: Final = 0.0006
 _SPIN_S: Final = 0.00012
+#: Lockstep: time for the simulator to process a SYNC that nothing is sent with [s].
+_SYNC_PAUSE_S: Final = 0.002
 
 
 def spare_collections() -> None:
@@ -67,6 +70,14 @@ class SyncClock:
         """Return the time of a SYNC [s], sent so long after the first one."""
         return passed_s
 
+    def now_s(self) -> float:
+        """Return the time that passes for the drives while no cycle runs [s]; only differences have a meaning."""
+        return time.monotonic()
+
+    def pause(self, seconds: float) -> None:
+        """Let so much time pass for the drives while no cycle runs; frames are received meanwhile."""
+        self._bus.listen(seconds)
+
     def restart(self, at_s: float | None = None) -> None:
         """Restart the schedule: the next SYNC is due now, or at a monotonic time [s] that several clocks share."""
         self._due_s, self._last_s = at_s, None
@@ -105,6 +116,8 @@ class SyncClock:
 class LockstepClock(SyncClock):
     """Simulated time: one period passes with each SYNC, which is due as soon as the last one was answered."""
 
+    _paused_s = 0.0
+
     @property
     def paused_s(self) -> float:
         """Return 0: no time passes between two SYNCs."""
@@ -113,6 +126,17 @@ class LockstepClock(SyncClock):
     def time_s(self, sync_index: int, passed_s: float) -> float:
         """Return the time of a SYNC [s]: its index times the period."""
         return sync_index * self._period_s
+
+    def now_s(self) -> float:
+        """Return the simulated time of all pauses [s]."""
+        return self._paused_s
+
+    def pause(self, seconds: float) -> None:
+        """Send SYNCs without commands for so much simulated time."""
+        for _ in range(math.ceil(seconds / self._period_s)):
+            self._bus.send(SYNC_ID, b"")
+            self._bus.listen(_SYNC_PAUSE_S)
+            self._paused_s += self._period_s
 
     def wait(self) -> float:
         """Return the monotonic time [s]."""

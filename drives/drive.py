@@ -137,17 +137,8 @@ class Cia402Drive:
 
         Emergency stop, safe torque off, and whether the encoder is referenced, as far as the profile names the objects.
         """
-        profile = self.setup.profile
-        faults = []
-        for condition in profile.safety:
-            value = self.access.read(condition.object)
-            if not condition.holds(value):
-                faults.append(f"{condition.what}: {condition.describe(value)}")
-        if profile.reference is not None:
-            value = self.access.read(profile.reference.object)
-            if not profile.reference.holds(value):
-                faults.append(f"the encoder is not referenced: {profile.reference.describe(value)}")
-        return faults
+        values = [(each, self.access.read(each.object)) for each in self.setup.profile.conditions]
+        return [f"{each.what}: {each.describe(value)}" for each, value in values if not each.holds(value)]
 
     def arm(self, master_node_id: int) -> None:
         """Make the drive monitor the master's heartbeat (0x1016), from the first heartbeat on."""

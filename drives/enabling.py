@@ -216,12 +216,11 @@ def _walk(exchange: SyncExchange, monitor: Monitor, epoch: Epoch, check_stop: Ca
             held_s += timing.period_s
         else:
             monitor.check_rules("started")
-        _refuse_backward(exchange, before)
-        check_stop()
-        raise_failures(_moved(exchange, epoch, held))
         for axis, state in enumerate(states):
             unchanged = state is before[axis] and state is not State.OPERATION_ENABLED
             waited[axis] = waited[axis] + 1 if unchanged else 0
+        _refuse_astray(exchange, epoch, before, held, waited)
+        check_stop()
         all_enabled |= epoch.complete and all(state is State.OPERATION_ENABLED for state in states)
         for drive, answer in list(asked.items()) if all_enabled else ():
             if answer.value == mode.value:
@@ -230,7 +229,6 @@ def _walk(exchange: SyncExchange, monitor: Monitor, epoch: Epoch, check_stop: Ca
                 if epoch.time_s - began_s > limit_s:
                     refuse_mode(drive.access, mode, answer.value)
                 asked[drive] = drive.access.sdo.post(*display.address, display.type)
-        raise_failures(_stuck(exchange, waited))
         if epoch.time_s - began_s > limit_s and not (asked and all_enabled):
             raise_failures(_overdue(exchange, epoch, limit_s))
     return epoch
@@ -250,35 +248,30 @@ def _enable_controlwords(exchange: SyncExchange) -> list[int]:
     return words
 
 
-def _refuse_backward(exchange: SyncExchange, before: Sequence[State | None]) -> None:
-    failures = []
-    for drive, was, now in zip(exchange.drives, before, exchange.states, strict=True):
+def _refuse_astray(
+    exchange: SyncExchange, epoch: Epoch, before: Sequence[State | None], held: Sequence[int], waited: Sequence[int]
+) -> None:
+    """Refuse axes that fell back, move although they are held, or stay in a state."""
+    failures: list[DriveError] = []
+    for axis, (drive, was, now) in enumerate(zip(exchange.drives, before, exchange.states, strict=True)):
+        node, reading, limit_s = (
+            drive.node_id,
+            epoch.readings[axis],
+            drive.setup.profile.state_machine.transition_timeout_s,
+        )
+        turns = 0.0 if reading is None else abs(reading.position_count - held[axis]) / drive.scale.revolutions(1.0)
         if was in _LADDER and now in _LADDER and _LADDER.index(now) < _LADDER.index(was):
             what = f"fell back from {was} to {now} while being enabled"
             advice = "check power stage, STO and enable input; it is not enabled again automatically"
-            failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
-    raise_failures(failures)
-
-
-def _moved(exchange: SyncExchange, epoch: Epoch, held: Sequence[int]) -> list[DriveFault]:
-    failures = []
-    for drive, reading, count in zip(exchange.drives, epoch.readings, held, strict=True):
-        turns = 0.0 if reading is None else abs(reading.position_count - count) / drive.scale.revolutions(1.0)
-        if turns > BRAKE_DROP_REVOLUTIONS:
+            failures.append(DriveFault(what, node=node, index=0x6041, advice=advice))
+        elif turns > BRAKE_DROP_REVOLUTIONS:
             what = f"moves while its brake opens: {turns:.2f} motor revolutions from its position"
             advice = "check the brake, the load and the torque limit 0x6072; the axis may drop when it is enabled"
-            failures.append(DriveFault(what, node=drive.node_id, index=0x6064, advice=advice))
-    return failures
-
-
-def _stuck(exchange: SyncExchange, waited: Sequence[int]) -> list[TransitionTimeout]:
-    failures = []
-    for drive, state, cycles in zip(exchange.drives, exchange.states, waited, strict=True):
-        limit_s = drive.setup.profile.state_machine.transition_timeout_s
-        if cycles * exchange.timing.period_s > limit_s:
-            what = f"stays in {state} for more than {limit_s} s in the transition to OPERATION ENABLED"
-            failures.append(TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=_STUCK))
-    return failures
+            failures.append(DriveFault(what, node=node, index=0x6064, advice=advice))
+        elif waited[axis] * exchange.timing.period_s > limit_s:
+            what = f"stays in {now} for more than {limit_s} s in the transition to OPERATION ENABLED"
+            failures.append(TransitionTimeout(what, node=node, index=0x6041, advice=_STUCK))
+    raise_failures(failures)
 
 
 def _overdue(exchange: SyncExchange, epoch: Epoch, limit_s: float) -> list[TransitionTimeout]:

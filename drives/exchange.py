@@ -83,6 +83,10 @@ class Timing:
     pacing: Pacing = "lockstep"
     options: GroupOptions = GroupOptions()
 
+    def clock(self, bus: Bus) -> SyncClock:
+        """Return a clock of this pacing, whose SYNC has not begun."""
+        return (SyncClock if self.pacing == "real" else LockstepClock)(bus, self.period_s)
+
 
 class SyncExchange:
     """Sender of SYNC cycles, and state of the drives as last reported.
@@ -146,11 +150,10 @@ class SyncExchange:
             self._instruments.append((instrument, len(slots)))
             slots += instrument.answers
             owners += [instrument.access.sdo] * len(instrument.answers)
+        self.clock = timing.clock(bus)
         if timing.pacing == "real":
-            self.clock = SyncClock(bus, timing.period_s)
             self.collector = EpochCollector(bus, slots, _WINDOW * timing.period_s)
         else:
-            self.clock = LockstepClock(bus, timing.period_s)
             self.collector = EpochCollector(bus, slots, timing.options.gap_timeout_s, owners)
         self._decoders: tuple[Decoder, ...] = ()
         self._unassignable = [0] * len(self.drives)

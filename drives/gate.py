@@ -9,7 +9,7 @@ safety chain.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from typing import Final
@@ -45,6 +45,7 @@ _SENT_BEFORE: Final = 1
 #: All drives are asked at once whether they are there, so often, and looked at in this interval [s].
 _QUESTIONS: Final = 2
 _LOOK_S: Final = 0.001
+_CONFIGURE: Final = "connect() and configure() again"
 _LOST: Final = f"the drive restarted, was exchanged, or was written by another master: {_AGAIN}"
 
 
@@ -59,8 +60,9 @@ class DriveState:
         CiA 402 state; None = it was not read.
     failure : DriveError or None
         First reason against calling a person to the arm and against enabling it.
-    unsafe : DriveFault or None
-        Reason against power alone: a fault, which leaves the axis in its brake, or an open safety chain (full gate).
+    unsafe : DriveError or None
+        Reason against power alone. A fault, which leaves the axis in its brake. An open safety chain (full gate). An
+        earlier finding, after which the drive has to be configured again.
     arm : str
         Which arm it belongs to, where several move together.
     """
@@ -68,7 +70,7 @@ class DriveState:
     node_id: int
     state: State | None
     failure: DriveError | None = None
-    unsafe: DriveFault | None = None
+    unsafe: DriveError | None = None
     arm: str = ""
 
 
@@ -115,12 +117,21 @@ class ArmState:
 
     def require_approach(self) -> None:
         """Raise the failures of all drives, unless a person may be called to the arm."""
-        raise_failures([drive.failure for drive in self.drives if drive.failure is not None])
+        if not self.safe_to_approach:
+            raise_failures([drive.failure for drive in self.drives if drive.failure is not None])
 
     def require_power(self) -> None:
-        """Raise the failures of all drives, unless they may be enabled."""
-        reasons = [drive.unsafe or drive.failure for drive in self.drives]
-        raise_failures([reason for reason in reasons if reason is not None])
+        """Raise the failures of all drives, unless they may be enabled.
+
+        Raises
+        ------
+        ConfigurationRefused
+            Also where nothing is wrong after a brief gate, which does not read what power needs.
+        """
+        if not self.safe_to_power:
+            reasons = [drive.unsafe or drive.failure for drive in self.drives]
+            raise_failures([reason for reason in reasons if reason is not None])
+            raise ConfigurationRefused("not everything was read that power needs", advice="read the full gate")
 
     def __str__(self) -> str:
         """Say what is known of the arm, as one sentence without its full stop."""
@@ -145,11 +156,23 @@ class Gate:
         Has the boot-ups since the drives were configured.
     emcy : EmcyLog
         Emergencies count that came after the gate before, and after `restart`.
+
+    A drive that was found exchanged, restarted, moved, written by others or not stopped is not enabled until it is
+    configured again, for which there is a new gate.
     """
 
     def __init__(self, bus: Bus, drives: Sequence[Cia402Drive], watch: HeartbeatWatch, emcy: EmcyLog) -> None:
         self._bus, self._drives, self._watch, self._emcy = bus, tuple(drives), watch, emcy
         self._emergencies = emcy.count
+        #: By node: why it has to be configured again.
+        self._lost: dict[int, ConfigurationRefused] = {}
+
+    def mistrust(self, failures: Iterable[DriveError]) -> None:
+        """Require drives to be configured again before they are enabled; a failure without a node is one of all."""
+        for failure in failures:
+            for node in [drive.node_id for drive in self._drives] if failure.node is None else [failure.node]:
+                what = f"has to be configured again: {failure.what}"
+                self._lost.setdefault(node, ConfigurationRefused(what, node=node, advice=_CONFIGURE))
 
     def restart(self) -> None:
         """The drives have been disabled: emergencies of the motion are not those of drives in their brakes."""
@@ -169,6 +192,7 @@ class Gate:
             read = [silent.get(drive.node_id) or self._read(drive, full) for drive in self._drives]
             self._bus.listen(POLL_S)  # a boot-up or an emergency that was sent while the last drive was read
         except DriveError as error:
+            self.mistrust([error])
             return ArmState(tuple(DriveState(drive.node_id, None, error) for drive in self._drives), began, full)
         new, self._emergencies = self._emcy.count - self._emergencies, self._emcy.count
         latest = {each.node_id: each for each in self._emcy.messages[-new:]} if new else {}
@@ -185,7 +209,8 @@ class Gate:
             elif failure is None and is_stopped and self._watch.contrary[drive.node_id] > _SENT_BEFORE:
                 what = "is in NMT state OPERATIONAL, in which a PDO can enable it; this master did not command it"
                 failure = ForeignMaster(what, node=drive.node_id, advice=_OTHER_MASTER)
-            states.append(replace(drive, failure=failure))
+            states.append(replace(drive, failure=failure, unsafe=drive.unsafe or self._lost.get(drive.node_id)))
+        self.mistrust(each.failure for each in states if each.failure and type(each.failure) is not DriveFault)
         return ArmState(tuple(states), began, full)
 
     def _silent(self) -> dict[int, DriveState]:

@@ -20,8 +20,6 @@ from drives.epoch import Epoch
 from drives.errors import (
     ConfigurationRefused,
     DriveError,
-    DriveFault,
-    DriveRebooted,
     NotStoodDown,
     SdoTimeout,
     StopRequested,
@@ -69,7 +67,7 @@ class DriveGroup(Nodes):
     _exchange: SyncExchange | None = None
     _monitor: Monitor | None = None
     _gate: Gate | None = None
-    _running = _configured = False
+    _running = False
     #: Stop test in progress; None = none.
     _test: DriveTest | None = None
     #: Monotonic time of the last gate [s].
@@ -126,14 +124,12 @@ class DriveGroup(Nodes):
         self._exchange, self._watch = exchange, watch
         self._monitor = Monitor(self.bus, exchange, watch, self.emcy, {"silent": self.options.unanswered_syncs})
         self._gate = Gate(self.bus, self.drives, watch, self.emcy)
-        self._configured = True
 
     def _close_exchange(self) -> None:
         for listener in (self._watch, self._exchange):
             if listener is not None:
                 listener.close()
         self._watch = self._exchange = self._monitor = self._gate = None
-        self._configured = False
 
     def restore(self) -> None:
         """Restore every object that is in the ledger, after which the drives have to be configured again.
@@ -165,7 +161,6 @@ class DriveGroup(Nodes):
             raise ConfigurationRefused("the drives are not configured", advice="connect() and configure() first")
         state = self._gate.read(full=full)
         self._gated_s = time.monotonic()
-        self._configured &= all(type(drive.failure) in (type(None), DriveFault) for drive in state.drives)
         return state
 
     def positions_rad(self) -> list[float]:
@@ -223,7 +218,7 @@ class DriveGroup(Nodes):
             All axes are disabled again.
         """
         exchange, monitor = self._parts()
-        self._require(self._configured and not self.enabled, "configure() first, and enable() once")
+        self._require(not self.enabled, "enable() once")
         self.gate(full=True).require_power()
         if stop_requested():
             raise StopRequested("a stop was requested before the drives were enabled")
@@ -425,8 +420,6 @@ class DriveGroup(Nodes):
     def _after(self, error: BaseException, stop: Callable[[SyncExchange], list[DriveError]]) -> None:
         """Stop all axes because of an error that is about to be raised; failures while stopping are added to it."""
         self.enabled = False
-        if any(isinstance(each, DriveRebooted) for each in getattr(error, "failures", (error,))):
-            self._configured = False
         failures: list[DriveError] = []
         try:
             if self.on_stop is not None:
@@ -455,7 +448,8 @@ class DriveGroup(Nodes):
             failures = [while_stopping(error)]
         if failures:
             self.heartbeat.stop()
-            self._configured = False
+            if self._gate is not None:
+                self._gate.mistrust(failures)
         return failures
 
     # -- stopping ----------------------------------------------------------------------------------------------------

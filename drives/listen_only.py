@@ -19,12 +19,11 @@ from drives.errors import ConfigurationRefused
 from drives.objects import SIZE_BYTES, decode_integer
 from drives.pdo import COMMAND, rpdo_plans, tpdo_plans
 from drives.scaling import Constants, Decoder, MotorScale, motor_scale, read_constants, reading_decoder
-from drives.sdo import EXPEDITED, SCS_UPLOAD, expedited_data
+from drives.sdo import COMMAND_BITS, EXPEDITED, SCS_UPLOAD, expedited_data
 from drives.values import AxisSetup, DriveReading
 
 #: Emergency messages that wait to be taken.
 _KEPT: Final = 64
-_COMMAND_BITS: Final = 0xE0
 
 
 class _ObservedDrive:
@@ -47,7 +46,7 @@ class _ObservedDrive:
 
     def learn(self, data: bytes | bytearray) -> None:
         """Record an SDO answer, and read the constants from the recorded ones as soon as they are complete."""
-        if self.scale is None and len(data) == 8 and data[0] & _COMMAND_BITS == SCS_UPLOAD and data[0] & EXPEDITED:
+        if self.scale is None and len(data) == 8 and data[0] & COMMAND_BITS == SCS_UPLOAD and data[0] & EXPEDITED:
             self._answers[int.from_bytes(data[1:3], "little"), data[3]] = bytes(data)
             with suppress(ConfigurationRefused):
                 self._set_constants(read_constants(self))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Final, Self, TypeVar
+from typing import Self, TypeVar
 
 from drives import stopping
 from drives.access import ObjectAccess
-from drives.bus import SYNC_ID, Bus
+from drives.bus import Bus
 from drives.busload import cycle_bits_worst
 from drives.drive import AxisSetup, Cia402Drive
 from drives.emcy import EmcyLog
@@ -21,9 +21,6 @@ from drives.other_pdos import OtherPdo
 
 Node = Cia402Drive | Instrument
 NodeKind = TypeVar("NodeKind", bound=Node)
-
-#: Lockstep: time for the simulator to process a SYNC.
-_SYNC_PAUSE_S: Final = 0.002
 
 
 class Nodes:
@@ -178,17 +175,9 @@ class Nodes:
             Drives that were not disabled, and objects that could not be restored; they stay in the ledger.
         """
         taken_down: list[str] = []
-        failures = self.failures(lambda drive: taken_down.append(stopping.take_down(drive, self._pause)), self.drives)
+        clock = self.timing.clock(self.bus)
+        failures = self.failures(lambda drive: taken_down.append(stopping.take_down(drive, clock)), self.drives)
         self.taken_down = tuple(filter(None, taken_down))
         restored: list[DriveError] = []
         failures += self.failures(lambda node: restored.extend(node.access.restore()), self.all)
         raise_failures(failures + restored)
-
-    def _pause(self, seconds: float) -> None:
-        """Wait; in lockstep a simulated drive goes on only with SYNC."""
-        if self.timing.pacing == "real":
-            self.bus.listen(seconds)
-            return
-        for _ in range(math.ceil(seconds / self.timing.period_s)):
-            self.bus.send(SYNC_ID, b"")
-            self.bus.listen(_SYNC_PAUSE_S)

@@ -88,6 +88,11 @@ class Step:
     value: int
     reason: str
 
+    @property
+    def address(self) -> tuple[int, int]:
+        """Index and subindex."""
+        return self.index, self.subindex
+
 
 def rpdo_plans(node_id: int, feedforward: bool = False) -> tuple[PdoPlan, ...]:
     """Return the RPDO configurations of a node, RPDO1 first; RPDO2 only in a run with feedforward."""

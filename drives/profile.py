@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -350,6 +350,9 @@ class SafetyCondition(Condition):
 class Reference(Condition):
     """How the drive reports whether its encoder is referenced."""
 
+    #: As `SafetyCondition.what`.
+    what: ClassVar[str] = "the encoder is not referenced"
+
 
 class EmcyEntry(Strict):
     """What an emergency code means on this drive."""
@@ -440,6 +443,11 @@ class DriveProfile(Strict):
                 "master is lost: set 3 (quick stop) if the drive takes it"
             )
         return tuple(found)
+
+    @property
+    def conditions(self) -> tuple[SafetyCondition | Reference, ...]:
+        """Return the conditions for motion: safety chain, referenced encoder."""
+        return (*self.safety, *(() if self.reference is None else (self.reference,)))
 
     def emcy_entry(self, code: int) -> EmcyEntry | None:
         """Return the entry of an EMCY code, or None if the profile does not list it."""

@@ -30,6 +30,8 @@ CCS_DOWNLOAD_SEGMENT, CCS_DOWNLOAD, CCS_UPLOAD, CCS_UPLOAD_SEGMENT = 0x00, 0x20,
 SCS_UPLOAD_SEGMENT, SCS_DOWNLOAD_SEGMENT, SCS_UPLOAD, SCS_DOWNLOAD, ABORT = 0x00, 0x20, 0x40, 0x60, 0x80
 TOGGLE: Final = 0x10
 EXPEDITED, SIZED = 0x02, 0x01
+#: Bits of the command specifier in the first byte.
+COMMAND_BITS: Final = 0xE0
 NOT_ANSWERING: Final = "check power, node id, bit rate and that the node is not in NMT state STOPPED"
 #: Objects that `ask` requests in turn, so that a delayed answer is not taken for the answer to the next request.
 _QUESTIONS: Final = ((0x1000, 0), (0x1018, 1), (0x1001, 0), (0x1018, 2), (0x1018, 3), (0x1018, 4))
@@ -59,7 +61,7 @@ ONCE: Final = Transfer(attempts=1)
 
 
 def expedited_data(answer: bytes, size_bytes: int | None = None) -> bytes:
-    """Data of an expedited upload answer of 8 bytes (CiA 301, 7.2.4.3.6).
+    """Return the data of an expedited upload answer or download request of 8 bytes (CiA 301, 7.2.4.3.3, 7.2.4.3.6).
 
     Parameters
     ----------
@@ -99,7 +101,7 @@ class Posted:
     def take(self, answer: bytes) -> None:
         """Keep the value of an expedited answer; anything else counts as a refusal."""
         self.answered = True
-        if answer[0] & 0xE0 == SCS_UPLOAD and answer[0] & EXPEDITED:
+        if answer[0] & COMMAND_BITS == SCS_UPLOAD and answer[0] & EXPEDITED:
             size = SIZE_BYTES[self.data_type]
             with contextlib.suppress(ValueError):
                 data = expedited_data(answer, size)
@@ -399,7 +401,7 @@ class SdoClient:
             self._strange += 1
             return False
         command, index, subindex = HEAD.unpack_from(answer)
-        kind = command & 0xE0
+        kind = command & COMMAND_BITS
         if kind == ABORT and ((index, subindex) == address or (index, subindex) == (0, 0) and not self._pending):
             self._counts["aborts"] += 1
             raise abort_error(self.node_id, address, CODE.unpack_from(answer, 4)[0])
@@ -419,7 +421,7 @@ class SdoClient:
             fitting = [
                 each
                 for each in self._pending
-                if command & 0xE0 in (each.specifier, ABORT) and each.address in (None, (index, subindex))
+                if command & COMMAND_BITS in (each.specifier, ABORT) and each.address in (None, (index, subindex))
             ]
             if not fitting:
                 return False

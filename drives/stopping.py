@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Final
 
 from drives.cia402 import AT_REST, State, decode_state, disabling_controlword, stopping_controlword
+from drives.clock import SyncClock
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
 from drives.errors import DriveError, TransitionTimeout, while_stopping
@@ -236,21 +237,22 @@ def _run(
             if disables and not without_sync and _moves_held(exchange, axis):
                 raise _still_moving(drive, "; it was not disabled")
             if disables:
-                _lead_down(drive, turn_count, time.sleep)
+                _lead_down(drive, turn_count, exchange.clock)
             else:
-                _stop_by_sdo(drive, turn_count, still_moves=exchange.states[axis] in _STOPPED and not done(axis))
+                still_moves = exchange.states[axis] in _STOPPED and not done(axis)
+                _stop_by_sdo(drive, turn_count, exchange.clock, still_moves=still_moves)
         except Exception as error:
             failures.append(_unknown(while_stopping(error, drive.node_id)))
     return failures
 
 
-def _stop_by_sdo(drive: Cia402Drive, turn_count: float | None, *, still_moves: bool) -> None:
+def _stop_by_sdo(drive: Cia402Drive, turn_count: float | None, clock: SyncClock, *, still_moves: bool) -> None:
     """Stop a drive by SDO and wait until its standstill was read.
 
     Parameters
     ----------
     drive : Cia402Drive
-    turn_count : float or None
+    turn_count, clock
         As `_lead_down`.
     still_moves : bool
         It has answered SYNC, is stopped and not at rest.
@@ -263,7 +265,7 @@ def _stop_by_sdo(drive: Cia402Drive, turn_count: float | None, *, still_moves: b
     for _ in range(_SDO_WORDS):
         state = _state(drive)
         if state in _STOPPED:
-            if still_moves if turn_count is None else not _wait_for_rest(drive, turn_count, time.sleep):
+            if still_moves if turn_count is None else not _wait_for_rest(drive, turn_count, clock):
                 raise _still_moving(drive)
             return
         drive.send_controlword(stopping_controlword(state))
@@ -278,7 +280,7 @@ def _unknown(failure: DriveError) -> DriveError:
     return failure
 
 
-def _lead_down(drive: Cia402Drive, turn_count: float | None, pause: Callable[[float], None]) -> None:
+def _lead_down(drive: Cia402Drive, turn_count: float | None, clock: SyncClock) -> None:
     """Bring a drive to SWITCH ON DISABLED by SDO, once its standstill has been read.
 
     Parameters
@@ -286,8 +288,8 @@ def _lead_down(drive: Cia402Drive, turn_count: float | None, pause: Callable[[fl
     drive : Cia402Drive
     turn_count : float or None
         Position counts of one motor revolution; None = standstill was read by SYNC.
-    pause : callable
-        Waits for a number of seconds.
+    clock : SyncClock
+        In whose time the axis moves: in lockstep it goes on only with SYNC.
 
     Raises
     ------
@@ -301,25 +303,25 @@ def _lead_down(drive: Cia402Drive, turn_count: float | None, pause: Callable[[fl
         if state in _HELD:
             if state is State.OPERATION_ENABLED:
                 drive.send_controlword(stopping_controlword(state))
-            if turn_count is not None and not _wait_for_rest(drive, turn_count, pause):
+            if turn_count is not None and not _wait_for_rest(drive, turn_count, clock):
                 raise _still_moving(drive, "; it was not disabled")
             state = _state(drive)
         if state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE):
-            pause(_closing_s(drive))
+            clock.pause(_closing_s(drive))
         drive.send_controlword(disabling_controlword(state))
     if _state(drive) not in DOWN:
         raise _stays(drive)
 
 
-def take_down(drive: Cia402Drive, pause: Callable[[float], None]) -> str:
+def take_down(drive: Cia402Drive, clock: SyncClock) -> str:
     """Disable a drive that an interrupted run left energised, by SDO: quick stop, standstill, brake time, voltage off.
 
     Parameters
     ----------
     drive : Cia402Drive
         Connected; it need not be configured.
-    pause : callable
-        Waits for a number of seconds.
+    clock : SyncClock
+        As `_lead_down`.
 
     Returns
     -------
@@ -337,7 +339,7 @@ def take_down(drive: Cia402Drive, pause: Callable[[float], None]) -> str:
     position = drive.setup.profile.position.object
     try:
         before = drive.access.read(position, ONCE)
-        _lead_down(drive, read_resolution(drive.access), pause)
+        _lead_down(drive, read_resolution(drive.access), clock)
         after = drive.access.read(position, ONCE)
     except Exception as error:
         raise _unknown(while_stopping(error, drive.node_id)) from error
@@ -349,20 +351,20 @@ def _state(drive: Cia402Drive) -> State:
     return decode_state(drive.access.read(OBJECTS["statusword"], ONCE))
 
 
-def _wait_for_rest(drive: Cia402Drive, turn_count: float, pause: Callable[[float], None]) -> bool:
+def _wait_for_rest(drive: Cia402Drive, turn_count: float, clock: SyncClock) -> bool:
     """Wait until SDO readings of position and velocity show that the axis is at rest; return whether they do in time.
 
     The velocity (0x606C) decides too where the profile states its unit and the drive does not refuse the object.
     """
     velocity = drive.setup.profile.velocity
     unit_rad_s = None if velocity is None else velocity.rad_s(turn_count)
-    standstill, until_s, time_s = Standstill(turn_count), time.monotonic() + RAMP_S, 0.0
-    while time.monotonic() < until_s:
+    standstill, until_s, time_s = Standstill(turn_count), clock.now_s() + RAMP_S, 0.0
+    while clock.now_s() < until_s:
         _, count, turns = drive.read_axis(ONCE, velocity=unit_rad_s is not None)
         standstill.see(time_s, count)
         if standstill.at_rest() and abs((turns or 0) * (unit_rad_s or 0.0)) <= _SDO_STILL_RAD_S:
             return True
-        pause(_SDO_PAUSE_S)
+        clock.pause(_SDO_PAUSE_S)
         time_s += _SDO_PAUSE_S  # at least: a reading takes its time too
     return False
 

@@ -62,7 +62,7 @@ class TorqueSignalReader:
         self._plans: dict[int, PdoPlan] = {}
         self._handlers: dict[int, Callable[[int, bytes | bytearray, float], None]] = {}
 
-    def open(self) -> None:
+    def __enter__(self) -> TorqueSignalReader:
         """Map the TPDO on every drive that supports it; `missing` holds the reason of the others."""
         for drive, own in zip(self._drives, self.signals, strict=True):
             try:
@@ -77,6 +77,7 @@ class TorqueSignalReader:
             self._plans[drive.node_id] = plan
             self._handlers[plan.cob_id] = _storing_handler(plan.layout, lists)
             self._bus.subscribe(plan.cob_id, self._handlers[plan.cob_id])
+        return self
 
     def _entries(self, drive: Cia402Drive) -> list[tuple[str, ObjectReference]]:
         profile = drive.setup.profile
@@ -105,10 +106,6 @@ class TorqueSignalReader:
                 drive.access.write(off, drive.access.read(off) | INVALID, "the check is over")
             except DriveError:
                 self._bus.counts["witness_left_on"] += 1
-
-    def __enter__(self) -> TorqueSignalReader:
-        self.open()
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

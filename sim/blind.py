@@ -58,6 +58,11 @@ class BlindCell:
         rng = np.random.default_rng([self.seed, 7, stream])
         return measure(self.arm.chain, self.plant, visits, self.arm.loads, self.protocol, rng)
 
+    def poses(self, count: int, stream: int) -> Array:
+        """Return further poses (count, 6) that are informative about load and links; `stream` as `measure`."""
+        rng = np.random.default_rng([self.seed, stream])
+        return choose_poses(self.arm.chain, self.arm.floor_nm, self.arm.prior_std, count, rng)
+
     def later(self, poses_rad: Array, first_pose: int, start_s: float) -> tuple[PlannedVisit, ...]:
         """Further visits with the load on, one after the other."""
         return tuple(
@@ -69,7 +74,7 @@ def draw_cell(seed: int) -> BlindCell:
     """Cell of one seed: arm, effects, and rest poses, bare and then with the load."""
     rng = np.random.default_rng([seed, 1])
     arm = draw_arm(rng)
-    poses = choose_poses(arm, POSES, rng)
+    poses = choose_poses(arm.chain, arm.floor_nm, arm.prior_std, POSES, rng)
     visits = planned(poses, {"none": 0.0, "tool": LOADED_S}, VISIT_S)
     truth, protocol = _draw_truth(arm, visits, rng)
     in_plant = [effect for effect in truth.effects if effect["name"] != "position_friction"]

@@ -188,17 +188,11 @@ def rated_torque_nm(chain: SimChain, masses: Array, coms: Array, load: Payload, 
     return 1.3 * np.maximum(largest, 0.02 * largest.max())
 
 
-def choose_poses(arm: DrawnArm, count: int, rng: np.random.Generator) -> Array:
-    """Return rest poses (count, 6) that are most informative about load and links: greedy D-optimal among random
-    ones.
+def choose_poses(chain: SimChain, floor_nm: Array, prior_std: Array, count: int, rng: np.random.Generator) -> Array:
+    """Return rest poses (count, 6) that are most informative about load and links: greedy D-optimal among random ones.
+
+    The links are known to `prior_std` (24,), and the noise floor is `floor_nm` (6,).
     """
-    return informative_poses(arm.chain, arm.floor_nm, arm.prior_std, count, rng)
-
-
-def informative_poses(
-    chain: SimChain, floor_nm: Array, prior_std: Array, count: int, rng: np.random.Generator
-) -> Array:
-    """Return greedy D-optimal poses (count, 6) for links known to `prior_std` (24,) and a noise floor (6,)."""
     q = rng.uniform(0.95 * chain.lower_rad, 0.95 * chain.upper_rad, (80, 6))
     columns = gravity_columns(chain, q, GRAVITY) / floor_nm[:, None]
     scaled = columns * prior_std

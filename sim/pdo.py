@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from canopen.sdo.exceptions import SdoAbortedError
 
@@ -87,8 +88,8 @@ class Pdo:
         store.live((communication, 2), "u8", lambda: self.transmission, self._set_transmission)
         if communication >= 0x1800:
             store.live((communication, 3), "u16", lambda: self.inhibit_100us, self._set_inhibit)
-            store.live((communication, 5), "u16", lambda: self.event_ms, self._set_event)
-            store.live((communication, 6), "u8", lambda: self.sync_start, self._set_sync_start)
+            store.live((communication, 5), "u16", lambda: self.event_ms, partial(setattr, self, "event_ms"))
+            store.live((communication, 6), "u8", lambda: self.sync_start, partial(setattr, self, "sync_start"))
         store.live((mapping, 0), "u8", lambda: self._count, self._set_count)
         for sub in range(1, MAX_ENTRIES + 1):
             store.live((mapping, sub), "u32", self._map_getter(sub), self._map_setter(sub))
@@ -137,12 +138,6 @@ class Pdo:
         if self.enabled:
             raise SdoAbortedError(self.inhibit_abort)
         self.inhibit_100us = value
-
-    def _set_event(self, value: int) -> None:
-        self.event_ms = value
-
-    def _set_sync_start(self, value: int) -> None:
-        self.sync_start = value
 
     def _set_count(self, value: int) -> None:
         if self.enabled:

@@ -228,16 +228,6 @@ class ArmWorld:
         """True joint speeds, shape (N,) [rad/s]."""
         return np.array(self._qd)
 
-    @property
-    def fastest_rad_s(self) -> Array:
-        """Largest speed of each motor at its gear output since `forget_fastest`, shape (N,) [rad/s]."""
-        return np.array([axis.fastest_rad_s for axis in self.axes])
-
-    def forget_fastest(self) -> None:
-        """Reset the largest speed."""
-        for axis in self.axes:
-            axis.fastest_rad_s = 0.0
-
     def reading_nm(self) -> Array:
         """One reading of the motor torques, shape (N,), gear output side [Nm]: `r` of `sim.plant`.
 

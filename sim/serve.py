@@ -77,7 +77,7 @@ def obey(simulation: Simulation, lines: Iterable[str], say: Callable[[str], None
                     say(f"payload {label} on the flange")
                 except KeyError:
                     say(f"payload {label} is not known; known are {', '.join(['none', *simulation.loads])}")
-                except ValueError as error:
+                except (ValueError, TimeoutError) as error:
                     say(str(error))
             case ["grip", "open" | "closed" as to]:
                 try:

@@ -41,6 +41,8 @@ MOST_CATCH_UP_S = 0.5
 OLDEST_FRAME_S = 5.0
 #: In lockstep a master that has sent no frame for this time counts as lost, and real time applies [s].
 ABANDONED_S = 10.0
+#: Longest wait for the serving thread to mount a load [s].
+MOUNT_S = 10.0
 
 
 class Unit(ABC):
@@ -153,18 +155,20 @@ class BusServer:
     Attributes
     ----------
     latest_s : in real time, longest delay of this process [s]
+    real : simulated time follows the wall clock
+    real_at_s : instant of the monotonic clock that real time has reached [s]
     """
 
     def __init__(self, bus: Any, arms: Sequence[Unit], sync_period_s: float, pacing: str) -> None:
         self.bus, self.arms = bus, tuple(arms)
         self._born_s = tuple(arm.drives[0].motion.period_s() for arm in self.arms)
         self.sync_count, self.latest_s = 0, 0.0
-        self._period_s, self._real = sync_period_s, pacing == "real"
+        self._period_s, self.real = sync_period_s, pacing == "real"
         self._network = canopen.Network(bus)
         self._jobs: deque[Callable[[], None]] = deque()
         self._stop = threading.Event()
         self._routes: dict[int, tuple[FakeDrive, int]] = {}
-        self._real_at_s = time.monotonic()
+        self.real_at_s = time.monotonic()
         self._beat_at_s = 0.0
         self._received_at_s = self._alone_at_s = time.monotonic()
         self.drives = [drive for arm in self.arms for drive in arm.drives]
@@ -172,7 +176,7 @@ class BusServer:
         for arm in self.arms:
             arm.send = bus.send
         for drive in self.drives:
-            drive.motion.buffered = self._real
+            drive.motion.buffered = self.real
             for pdo in drive.rpdos:
                 pdo.on_change = self._reroute
         for node in self.nodes:
@@ -203,7 +207,12 @@ class BusServer:
         self._jobs.append(job)
 
     def mount(self, arm: Unit, payload: Payload) -> None:
-        """Mount a load on an arm's flange; return when it is mounted (call from another thread than the server's)."""
+        """Mount a load on an arm's flange; return when it is mounted (call from another thread than the server's).
+
+        Raises
+        ------
+        TimeoutError : the server does not run, or is suspended
+        """
         done = threading.Event()
 
         def job() -> None:
@@ -211,7 +220,8 @@ class BusServer:
             done.set()
 
         self.later(job)
-        done.wait(10.0)
+        if not done.wait(MOUNT_S):
+            raise TimeoutError(f"arm {arm.name}: the load was not mounted within {MOUNT_S:g} s; does its bus run?")
 
     def stop(self) -> None:
         """Request the end of `run`."""
@@ -225,26 +235,16 @@ class BusServer:
             while not self._stop.is_set():
                 gap_s = time.monotonic() + wait
                 message = recv(wait)
-                if self._real:
+                if self.real:
                     self._follow_the_clock(message, gap_s)
                 self.serve(message)
         finally:
             self.end()
 
     @property
-    def real_at_s(self) -> float:
-        """Return the instant of the monotonic clock that real time has reached [s]."""
-        return self._real_at_s
-
-    @property
-    def by_the_clock(self) -> bool:
-        """Return whether simulated time follows the wall clock."""
-        return self._real
-
-    @property
     def step_s(self) -> float:
         """Return the longest wait for frames before periodic work [s]."""
-        return REAL_STEP_S if self._real else IDLE_S
+        return REAL_STEP_S if self.real else IDLE_S
 
     @property
     def stopped(self) -> bool:
@@ -253,16 +253,16 @@ class BusServer:
 
     def boot(self) -> None:
         """Send the boot-up messages of all nodes and start the time."""
-        self._real_at_s = time.monotonic()
+        self.real_at_s = time.monotonic()
         for node in self.nodes:
             node.boot()
-        if self._real:  # a full garbage collection takes longer than a SYNC period
+        if self.real:  # a full garbage collection takes longer than a SYNC period
             gc.collect()
             gc.freeze()
 
     def end(self) -> None:
         """End the service and close the bus."""
-        if self._real:
+        if self.real:
             gc.unfreeze()
         for node in self.nodes:
             node.remove_network()
@@ -277,7 +277,7 @@ class BusServer:
         now = time.monotonic()
         if message is not None:
             self._received_at_s = now
-        elif not self._real and now - self._received_at_s > ABANDONED_S:
+        elif not self.real and now - self._received_at_s > ABANDONED_S:
             self._go_on_alone(now)
         if message is None or message.arbitration_id == SYNC_ID or now - self._beat_at_s > IDLE_S:
             self._beat_at_s = now
@@ -309,7 +309,7 @@ class BusServer:
         self.sync_count += 1
         for arm in self.arms:
             arm.sync()
-        if not self._real:
+        if not self.real:
             for arm, born_s in zip(self.arms, self._born_s, strict=True):
                 period_s = arm.drives[0].motion.period_s()
                 # a SYNC advances by the period of the cell, until the master has set another one (0x60C2)
@@ -325,10 +325,10 @@ class BusServer:
     def pass_until(self, now_s: float) -> None:
         """Advance simulated time to an instant of the monotonic clock."""
         self.latest_s = max(self.latest_s, time.monotonic() - now_s)
-        passed = min(now_s - self._real_at_s, MOST_CATCH_UP_S)
+        passed = min(now_s - self.real_at_s, MOST_CATCH_UP_S)
         if passed <= 0.0:
             return
-        self._real_at_s = now_s
+        self.real_at_s = now_s
         for arm in self.arms:
             arm.advance(passed)
 

@@ -161,6 +161,7 @@ class Simulation:
         ------
         KeyError : no such load
         ValueError : the arms are a pair, which holds its workpiece and nothing else
+        TimeoutError : as `BusServer.mount`
         """
         if label == "load" and label not in self.loads and len(self.loads) == 1:
             label = next(iter(self.loads))
@@ -191,7 +192,7 @@ class Simulation:
 
     def run(self) -> None:
         """Serve all buses until `stop`: one plant on several of them in this thread, else the first one."""
-        together = self.cell.pair is not None and all(server.by_the_clock for server in self.servers)
+        together = self.cell.pair is not None and all(server.real for server in self.servers)
         if together and all(can_be_waited_for(server.bus) for server in self.servers):
             serve_together(self.servers)
             return

@@ -58,7 +58,7 @@ def draw_undeclared(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload], se
         return []
     drawn = _as_drawn(arm, plant, loads)
     starts_s = {"none": 0.0} | ({TOOL: LOADED_S} if drawn.loads else {})
-    visits = planned(choose_poses(drawn, POSES, rng), starts_s, VISIT_S)
+    visits = planned(choose_poses(drawn.chain, drawn.floor_nm, drawn.prior_std, POSES, rng), starts_s, VISIT_S)
     names = [name for name in MAKERS if applies(name, drawn, two=count > 1)]
     effects: list[Effect] = []
     for name in rng.permutation(names)[:DRAWS]:

@@ -55,13 +55,14 @@ def pages(monkeypatch):
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of a group on one worker: what they share is made once, and none disturbs another's clock.
+    """Keep the tests of a group on one worker, where what they share is made once; start the long ones first.
 
     pytest-xdist appends the group to the id of a test, by an attribute that pytest has since given another name: it
     is set here by the one that holds. Nothing is done where the id has it already.
     """
     if not getattr(config.option, "loadgroup", False):
         return
+    items.sort(key=lambda item: item.path.parent.name != "system")
     for item in items:
         groups = sorted({str(mark.args[0]) for mark in item.iter_markers("xdist_group")})
         suffix = "@" + "_".join(groups)

@@ -115,7 +115,7 @@ class _GaussianCase:
         self.rng = np.random.default_rng([seed, STREAM])
         arm = draw.draw_arm(self.rng)
         self.robot: Robot = robot_from_urdf(arm.urdf, "drawn.urdf")
-        poses = draw.choose_poses(arm, POSES, self.rng)
+        poses = draw.choose_poses(arm.chain, arm.floor_nm, arm.prior_std, POSES, self.rng)
         tool = arm.loads["tool"]
         self.truth = np.concatenate([[tool.mass_kg], tool.com_m])
         self.std = arm.floor_nm * np.sqrt(2.0)  # of one side
@@ -168,7 +168,7 @@ def _stiction() -> dict[str, dict]:
     for seed in range(STICTION_TABLES):
         rng = np.random.default_rng([seed, STREAM, 1])
         arm = draw.draw_arm(rng)
-        poses = draw.choose_poses(arm, POSES, rng)
+        poses = draw.choose_poses(arm.chain, arm.floor_nm, arm.prior_std, POSES, rng)
         columns = measure(arm.chain, arm.plant, _visits(poses), arm.loads, arm.protocol, rng)
         options = Knowledge(link_std=0.05, efficiency=tuple(arm.efficiency.tolist()), gain_std=EXACT)
         found = _joint(table_of(columns), robot_from_urdf(arm.urdf, "drawn.urdf"), options)

@@ -14,7 +14,7 @@ from benchmarks.bench.wire_canopen import DroppingNetwork, PdoMapExchange, answe
 from benchmarks.bench.wire_responder import CHANNEL, NODES, responder
 from benchmarks.figure import figure
 from drives.bus import Bus, BusSpec, open_bus
-from drives.busload import cycle_bits_worst, largest_rate_hz
+from drives.busload import cycle_bits_worst
 from drives.drive import DriveCommand
 from drives.group import DriveGroup, GroupOptions
 from drives.profile_file import load_profile
@@ -35,7 +35,7 @@ def figures(cycles: int = 100_000, seconds: float = 10.0) -> dict[str, dict[str,
     seconds : float
         Length of each run in real time.
     """
-    limit_hz = largest_rate_hz(cycle_bits_worst([0, *[8] * 12]), 1e6)
+    limit_hz = 1e6 / cycle_bits_worst([0, *[8] * 12])
     found: dict[str, dict[str, Any]] = {
         "wire_limit_hz": figure(int(limit_hz), "== 597", "1/s"),
     }

@@ -22,7 +22,7 @@ from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.visits import pair_visits
 from gateway.result.result import LoadResult, Result
 from sim.blind import LEAST_STRENGTH, BlindCell, draw_cell, strength_beyond
-from sim.draw import VISIT_S, choose_poses
+from sim.draw import VISIT_S
 from sim.offline import PlannedVisit
 from tests.support.rigs.tables import simulated_table
 
@@ -87,15 +87,14 @@ def run_cell(seed: int) -> dict:
     first_s = _time_of_many(cell, robot, knowledge) if seed % TIMED == 0 else float("nan")
     begin = time.process_time()
     side = Robotside(cell)
-    validation = choose_poses(cell.arm, VALIDATION, np.random.default_rng([seed, 3]))
-    result, fitted = close_loop(table, robot, knowledge, side.measure, validation)
-    total_s = time.process_time() - begin
-    return asdict(_score(cell, robot, knowledge, result, fitted, (first_s, total_s, side.calls - 1)))
+    result, fitted = close_loop(table, robot, knowledge, side.measure, cell.poses(VALIDATION, 3))
+    times = (first_s, time.process_time() - begin, side.calls - 1)
+    return asdict(_score(cell, robot, knowledge, result, fitted, times))
 
 
 def _time_of_many(cell: BlindCell, robot: Robot, knowledge: Knowledge) -> float:
     """CPU time [s] of a diagnosis of many poses, each bare and with the load."""
-    poses = choose_poses(cell.arm, TIMED_POSES, np.random.default_rng([cell.seed, 9]))
+    poses = cell.poses(TIMED_POSES, 9)
     visits = [
         PlannedVisit(number, label, VISIT_S * (number + TIMED_POSES * place), q)
         for place, label in enumerate(("none", "tool"))

@@ -8,82 +8,46 @@ available for more poses.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from argparse import Namespace
 from pathlib import Path
-from typing import Any
+
+from benchmarks.program import run
 
 FIRST = {"dev": 0, "test": 30000, "fresh": 96000}
-TIMED = 20
-
-#: (work, tasks, jobs, file) -> scores.
-Run = Callable[[Callable[[Any], dict], Sequence[Any], int, Path], list[dict]]
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """How much is run: first seed, cells and diagnosed cells of each condition, cells with effects, timed cells."""
-
-    first: int
-    cells: int
-    diagnosed: int
-    conditions: tuple[str, ...]
-    effects: int
-    timed: int
-
-
-def run_nature(plan: Plan, run: Run, jobs: int, out: Path) -> int:
+def run_nature(arguments: Namespace, out: Path) -> int:
     """Run the cells, print tables and figures, write summary.json; 1 when a goal is missed."""
     from benchmarks.blind.nature import run_effect, run_nuisance_only, run_timed
+    from benchmarks.nature.levels import CONDITIONS
 
-    out.mkdir(parents=True, exist_ok=True)
+    if arguments.seeds not in FIRST:
+        raise SystemExit(f"--tier nature has seeds {' and '.join(FIRST)}")
+    first = FIRST[arguments.seeds] + arguments.first
+    diagnosed = arguments.cells if arguments.diagnosed is None else arguments.diagnosed
     tasks = [
-        (plan.first + number, condition, number < plan.diagnosed)
-        for number in range(plan.cells)
-        for condition in plan.conditions
+        (first + number, condition, number < diagnosed)
+        for number in range(arguments.cells)
+        for condition in (arguments.conditions.split(",") if arguments.conditions else CONDITIONS)
     ]
-    nuisance_cells = run(run_nuisance_only, tasks, jobs, out / "nuisances.jsonl") if tasks else []
-    seeds = range(plan.first, plan.first + plan.effects)
-    effects = run(run_effect, list(seeds), jobs, out / "effects.jsonl") if seeds else []
-    timed = run(run_timed, list(range(plan.first, plan.first + plan.timed)), 1, out / "timed.jsonl")
+    nuisance_cells = run(run_nuisance_only, tasks, arguments.jobs, out / "nuisances.jsonl") if tasks else []
+    seeds = range(first, first + arguments.effects)
+    effects = run(run_effect, seeds, arguments.jobs, out / "effects.jsonl") if seeds else []
+    timed = run(run_timed, range(first, first + arguments.timed), 1, out / "timed.jsonl")
     return report(nuisance_cells, effects, timed, out)
 
 
 def report(nuisance_cells: list[dict], effects: list[dict], timed: list[dict], out: Path) -> int:
     """Print tables and figures, write summary.json; 1 when a goal is missed."""
-    from rich.console import Console
-    from rich.table import Table
-
     from benchmarks.blind import nature_figures as figures
-    from benchmarks.figure import Figures, conclude
+    from benchmarks.figure import Figures, conclude, print_table
 
-    console = Console(width=160)
-    conditions = Table(
-        title="95 % intervals that hold the truth (m x y z), width over the oracle's, named, outlier visits"
-    )
-    for name in (
-        "condition",
-        "cells",
-        "estimate",
-        "width",
-        "diagnose",
-        "width",
-        "named",
-        "outliers found",
-        "thrown out",
-    ):
-        conditions.add_column(name)
-    for row in figures.by_condition(nuisance_cells):
-        conditions.add_row(*row)
-    console.print(conditions)
-    for title, rows in (
-        ("named where only nuisances are there", figures.falsely_named(nuisance_cells)),
-        ("one mechanism", figures.confusion(effects)),
-    ):
-        table = Table("what is there", "what was said", "cells", title=title)
-        for there, said, count in rows:
-            table.add_row(there, said, str(count))
-        console.print(table)
+    columns = ("condition", "cells", "estimate", "width", "diagnose", "width", "named", "outliers found", "thrown out")
+    title = "95 % intervals that hold the truth (m x y z), width over the oracle's, named, outlier visits"
+    print_table(columns, figures.by_condition(nuisance_cells), title)
+    columns = ("what is there", "what was said", "cells")
+    print_table(columns, figures.falsely_named(nuisance_cells), "named where only nuisances are there")
+    print_table(columns, figures.confusion(effects), "one mechanism")
     found: Figures = figures.nuisance_figures(nuisance_cells) if nuisance_cells else {}
     found |= figures.effect_figures(effects) if effects else {}
     found |= figures.outlier_figures([*nuisance_cells, *effects]) | figures.time_figures(timed)

@@ -9,14 +9,10 @@ table.
 
 from __future__ import annotations
 
-import argparse
-import sys
-from pathlib import Path
-
 import numpy as np
 
 from benchmarks.calibrated.conditions import CONDITIONS
-from benchmarks.one_thread import one_thread
+from benchmarks.program import one_thread, options, run, seed_range
 
 #: Half width of a 95 % interval in standard deviations.
 HALF_WIDTH = 1.96
@@ -25,23 +21,18 @@ QUANTITIES = ("mass", "x", "y", "z")
 LEAST_COVERAGE, LEVEL = 0.90, 0.01
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a condition is rejected."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.calibrated", description=__doc__)
-    parser.add_argument("--seeds", default="0:60", metavar="FIRST:END")
+    parser = options(__doc__, "out/calibrated", jobs=2)
+    parser.add_argument("--seeds", type=seed_range, default="0:60", metavar="FIRST:END")
     parser.add_argument("--condition", action="append", choices=tuple(CONDITIONS), help="all if omitted")
-    parser.add_argument("--out", type=Path, default=Path("out/calibrated"))
-    parser.add_argument("--jobs", type=int, default=2)
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     one_thread()
-    from benchmarks.blind.__main__ import run
     from benchmarks.calibrated.answers import answer_of
     from benchmarks.figure import conclude
 
-    first, end = (int(bound) for bound in arguments.seeds.split(":"))
     names = arguments.condition or list(CONDITIONS)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    tasks = [(seed, name) for name in names for seed in range(first, end)]
+    tasks = [(seed, name) for name in names for seed in arguments.seeds]
     answers = run(answer_of, tasks, arguments.jobs, arguments.out / "cells.jsonl")
     result = figures(answers, names)
     return conclude(result, arguments.out)
@@ -78,4 +69,4 @@ def figures(answers: list[dict], names: list[str]) -> dict[str, dict]:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -17,26 +17,19 @@ Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-from pathlib import Path
+from benchmarks.program import one_thread, options, run
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.certify", description=__doc__)
+    parser = options(__doc__, "out/certify", jobs=1)
     parser.add_argument("--arms", type=int, default=200)
     parser.add_argument("--replays", type=int, default=10)
     parser.add_argument("--paths", type=int, default=20)
     parser.add_argument("--drifts", type=int, default=60)
     parser.add_argument("--drives", type=int, default=20)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("out/certify"))
-    arguments = parser.parse_args(argv)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
-    from benchmarks.blind.__main__ import run
+    arguments = parser.parse_args()
+    one_thread()
     from benchmarks.certify.acceptance import acceptance_figures, accepted_arm
     from benchmarks.certify.drive_test import measure_drives
     from benchmarks.certify.load_cost import cost_figures, cost_of_path
@@ -44,11 +37,8 @@ def main(argv: list[str]) -> int:
     from benchmarks.certify.temperature import drifting_arm, temperature_figures
     from benchmarks.figure import conclude
 
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    out: Path = arguments.out
-    figures: dict[str, dict] = {}
-    arms = run(accepted_arm, range(arguments.arms), arguments.jobs, out / "arms.jsonl")
-    figures |= acceptance_figures(arms)
+    out = arguments.out
+    figures = acceptance_figures(run(accepted_arm, range(arguments.arms), arguments.jobs, out / "arms.jsonl"))
     figures |= replay_figures(run(replayed, range(arguments.replays), arguments.jobs, out / "replays.jsonl"))
     figures |= cost_figures(run(cost_of_path, range(arguments.paths), arguments.jobs, out / "paths.jsonl"))
     figures |= temperature_figures(run(drifting_arm, range(arguments.drifts), arguments.jobs, out / "drifts.jsonl"))
@@ -58,4 +48,4 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -8,7 +8,6 @@ python -m benchmarks.certify.drive_test [--seeds 20] [--out out/drive-test] [--p
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -23,6 +22,7 @@ import numpy as np
 
 from benchmarks.certify.drive_truth import read_truth
 from benchmarks.figure import conclude, figure
+from benchmarks.program import options
 from drives.profile_file import PROFILE_FOLDER
 from sim.drive_faults import CONTROLWORD_DELAY_S
 from sim.faults import KINDS
@@ -165,17 +165,16 @@ def _print_run(run: dict) -> None:
         print("   ", run["said"].strip()[-300:], flush=True)
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.certify.drive_test", description=__doc__)
+    parser = options(__doc__, "out/drive-test")
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--out", type=Path, default=Path("out/drive-test"))
     parser.add_argument("--pacing", choices=("real", "lockstep"), default="real")
     parser.add_argument("--only", nargs="*", help="defects, or `good`")
-    options = parser.parse_args(argv)
-    figures = measure_drives(options.seeds, options.out, options.pacing, options.only)
-    return conclude(figures, options.out)
+    arguments = parser.parse_args()
+    figures = measure_drives(arguments.seeds, arguments.out, arguments.pacing, arguments.only)
+    return conclude(figures, arguments.out)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

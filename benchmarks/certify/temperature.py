@@ -48,7 +48,7 @@ def drifting_arm(seed: int) -> dict:
     effect = {"name": "thermal_drift", "joints": [joint], "parameters": {"per_k": per_k}}
     warm = replace(arm.plant, temperature_c=motor_temperature_c)
     drifting = apply_effects(warm, [effect], point_jacobian(arm.chain))
-    poses = choose_poses(arm, POSES, rng)
+    poses = choose_poses(arm.chain, arm.floor_nm, arm.prior_std, POSES, rng)
     visits = [
         PlannedVisit(number, label, start_s + VISIT_S * number, q)
         for label, start_s in (("none", 0.0), ("tool", LOADED_S))

@@ -7,16 +7,15 @@ python -m benchmarks.chaos soak [--minutes 30]
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import signal
-import sys
-from pathlib import Path
+from collections.abc import Iterable
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from benchmarks.figure import conclude, write
+from benchmarks.program import options
 
 PARTS = (
     "scenarios",
@@ -38,20 +37,20 @@ PARTS = (
 )
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Run the named parts (all but the soak by default); exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.chaos", description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, "soak", []], help="parts to run")
-    parser.add_argument("--out", type=Path, default=Path("out/chaos"))
+    parser = options(__doc__, "out/chaos")
+    words = "all but the soak if omitted"
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, "soak", PARTS], default=PARTS, help=words)
     parser.add_argument("--minutes", type=float, default=30.0, help="length of the soak")
     parser.add_argument("--kinds", default="", help="part scenarios: fault kinds to play, by commas; all if absent")
     parser.add_argument("--share", type=float, default=1.0, help="share of the full numbers, for a first look")
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     figures: dict[str, dict] = {}
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what `nohup` silences here would be silenced in the programs too
     columns = (TextColumn("{task.description:32s}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:
-        for part in arguments.parts or PARTS:
+        for part in arguments.parts:
             module = importlib.import_module(f"benchmarks.chaos.part_{part}")
             figures |= module.figures(Scope(progress, arguments.share, arguments.minutes, arguments.kinds))
             write(figures, arguments.out)  # what is known so far
@@ -72,6 +71,11 @@ class Scope:
         """The share of a full number that is run, at least one."""
         return max(1, round(full * self._share))
 
+    def complain(self, complaints: Iterable[str], about: str = "") -> None:
+        """Print complaints, each behind what they are about."""
+        for complaint in complaints:
+            self.print(f"{about}: {complaint}" if about else complaint, markup=False)
+
     def bar(self, what: str, total: float) -> _Bar:
         """A progress bar with the remaining time."""
         return _Bar(self._progress, what, total)
@@ -88,4 +92,4 @@ class _Bar:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

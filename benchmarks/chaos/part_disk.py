@@ -22,8 +22,7 @@ def figures(scope: Any) -> dict[str, dict]:
     for write_s in (SLOW_S, TOO_SLOW_S):
         disk = record_on_slow_disk(write_s, PERIOD_S)
         bar.step()
-        for complaint in disk.complaints:
-            scope.print(f"disk, {write_s:g} s a write: {complaint}", markup=False)
+        scope.complain(disk.complaints, f"disk, {write_s:g} s a write")
         name = f"disk, {write_s:g} s a write"
         out[f"{name}: stopped along the path, queue full"] = figure(
             int(disk.full), f"== {int(write_s == TOO_SLOW_S)}", f"with {disk.went_on} of {CAPACITY} visits waiting"
@@ -34,8 +33,7 @@ def figures(scope: Any) -> dict[str, dict]:
     count = scope.count(STOPS)
     bar = scope.bar("stops that are not confirmed", count)
     beats = heartbeats_after_refused_stop(count, PERIOD_S, progress=bar.step)
-    for complaint in beats.complaints:
-        scope.print(complaint, markup=False)
+    scope.complain(beats.complaints)
     out["stops that were not confirmed"] = figure(beats.stops, f">= {count}")
     out[f"of them, with a heartbeat after {DELAYED_AFTER_S:g} s and a period"] = figure(beats.delayed, "== 0")
     out["longest from the stop word to the last heartbeat"] = figure(max(beats.last_s, default=0.0), ">= 0", "s")

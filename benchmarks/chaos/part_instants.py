@@ -22,8 +22,7 @@ def figures(scope: Any) -> dict[str, dict]:
     for _, seen in side_by_side(disturb, [(piece, seed) for seed in range(1, PIECES + 1)], JOBS):
         all_seen.append(seen)
         bar.step(piece)
-        for complaint in seen.complaints:
-            scope.print(complaint, markup=False)
+        scope.complain(seen.complaints)
     total = {
         name: sum(getattr(seen, name) for seen in all_seen) for name in all_seen[0].__slots__ if name != "complaints"
     }

@@ -33,8 +33,7 @@ def figures(scope: Any) -> dict[str, dict]:
                     complaints, tries = play_again(drives, kind, seed)
                     again += tries
                     wrong += bool(complaints)
-                    for complaint in complaints:
-                        scope.print(f"{kind}, {pacing}, seed {seed}: {complaint}", markup=False)
+                    scope.complain(complaints, f"{kind}, {pacing}, seed {seed}")
                     bar.step()
                 detail = f"of {seeds}" + (f"; {again} begun again, this computer kept no time" if again else "")
                 out[f"{kind}, {pacing}: not as stated"] = figure(wrong, "== 0", detail)

@@ -27,8 +27,7 @@ def figures(scope: Any) -> dict[str, dict]:
     for (kills, how, _), losses in side_by_side(interrupt_recordings, pieces, JOBS):
         found.append(losses)
         bar.step(kills)
-        for complaint in losses.complaints:
-            scope.print(f"{how}: {complaint}", markup=False)
+        scope.complain(losses.complaints, how)
     interrupted = sum(losses.interrupted for losses in found)
     announced = sum(losses.announced for losses in found)
     lost = sum(losses.lost for losses in found)

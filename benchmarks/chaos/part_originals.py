@@ -23,8 +23,7 @@ def figures(scope: Any) -> dict[str, dict]:
     bar.step(kills)
     kinds: dict[str, int] = {}
     for each in found:
-        for complaint in each.complaints:
-            scope.print(complaint, markup=False)
+        scope.complain(each.complaints)
         for kind, number in each.by_kind.items():
             kinds[kind] = kinds.get(kind, 0) + number
     total, judged = sum(each.interrupted for each in found), sum(each.judged for each in found)

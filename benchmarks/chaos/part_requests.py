@@ -21,8 +21,7 @@ def figures(scope: Any) -> dict[str, dict]:
     """Ask, and let brakes fail."""
     number = scope.count(INSTANTS)
     answers = requests(number, SEED, scope.bar("requests to stop", number).step)
-    for complaint in answers.delayed:
-        scope.print(complaint, markup=False)
+    scope.complain(answers.delayed)
     out = {
         f"stop requests at {number} instants: not answered within 1 SYNC and the ramp": figure(
             len(answers.delayed), "<= 0", ""

@@ -18,8 +18,7 @@ def figures(scope: Any) -> dict[str, dict]:
         count = scope.count(RUNS)
         bar = scope.bar(f"interrupted by {how}", count)
         seen = interrupt_commands(how, count, PERIOD_S, progress=bar.step)
-        for complaint in seen.complaints:
-            scope.print(f"{how}: {complaint}", markup=False)
+        scope.complain(seen.complaints, how)
         spread = ", ".join(f"{name} {number}" for name, number in sorted(seen.commands.items()))
         untimely = seen.delayed + seen.dropped + seen.unsafe
         out[f"{how}: commands interrupted"] = figure(

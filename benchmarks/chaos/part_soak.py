@@ -60,8 +60,7 @@ def figures(scope: Any) -> dict[str, dict]:
     both = joined(beside, far)
     unseen = [at_s for at_s in swung.incomplete_s if not both.near(at_s, PERIOD_S)]
     here = [at_s for at_s in swung.incomplete_s if not beside.near(at_s, PERIOD_S)]
-    for stop in swung.stops:
-        scope.print(f"soak, stopped: {stop}", markup=False)
+    scope.complain(swung.stops, "soak, stopped")
     for minute, count in sorted(Counter(int((at_s - swung.began_s) / 60.0) for at_s in unseen).items()):
         scope.print(f"soak, minute {minute + 1}: {count} incomplete epochs without a stall", markup=False)
     kind = "SCHED_FIFO" if both.real_time else "default scheduler: real time not permitted"

@@ -16,8 +16,7 @@ def figures(scope: Any) -> dict[str, dict]:
     count = scope.count(STALLS)
     bar = scope.bar("masters stalled", count)
     stalls = stall_masters(count, period_s=PERIOD_S, progress=bar.step)
-    for complaint in stalls.complaints:
-        scope.print(f"stalled: {complaint}", markup=False)
+    scope.complain(stalls.complaints, "stalled")
     longest = max(stalls.words_s, default=0.0)
     return {
         "masters stalled in real time": figure(stalls.stalls, f">= {count}"),

@@ -17,8 +17,7 @@ def figures(scope: Any) -> dict[str, dict]:
         kills = scope.count(full)
         bar = scope.bar(f"drives without master, {how}", kills)
         stops = drives_without_master(kills, how, progress=bar.step)
-        for complaint in stops.complaints:
-            scope.print(f"{how}: {complaint}", markup=False)
+        scope.complain(stops.complaints, how)
         within = 100.0 * (1.0 - stops.failed / max(len(stops.times_s), 1))
         out[f"drives stop after {how} of the master"] = figure(within, ">= 100", "%")
         bound = f"<= {stops.bound_s + 0.02:.3f}"

@@ -17,8 +17,7 @@ def figures(scope: Any) -> dict[str, dict]:
     commands = COMMANDS[: scope.count(len(COMMANDS))]
     bar = scope.bar("drives without buffer", len(commands))
     fastest = fastest_unbuffered(PERIOD_S, commands, bar.step)
-    for complaint in fastest.complaints:
-        scope.print(f"without buffer: {complaint}", markup=False)
+    scope.complain(fastest.complaints, "without buffer")
     return {
         f"without buffer, {name}: largest true speed": figure(share, f"<= {MEASURING}", "of the limit")
         for name, share in fastest.shares.items()

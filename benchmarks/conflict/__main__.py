@@ -9,35 +9,31 @@ cells, the others those of `--seeds`; variants: floor, two loads, 6 poses, wall,
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from pathlib import Path
 
-from benchmarks.one_thread import one_thread
+from benchmarks.program import one_thread, options, run, seed_range
 
 VARIANTS = ("floor", "two loads", "6 poses", "wall", "ceiling")
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.conflict", description=__doc__)
-    parser.add_argument("--seeds", default="0:40", metavar="FIRST:END")
+    parser = options(__doc__, "out/conflict", jobs=1)
+    parser.add_argument("--seeds", type=seed_range, default="0:40", metavar="FIRST:END")
     parser.add_argument("--clean", type=int, default=200, help="cells of a clean condition (at least those of seeds)")
     parser.add_argument("--condition", action="append", help="conditions (all)")
     parser.add_argument("--variant", action="append", choices=(*VARIANTS, "all"), help="floor if omitted")
     parser.add_argument("--command", choices=("estimate", "diagnose"), default="estimate")
-    parser.add_argument("--out", type=Path, default=Path("out/conflict"))
-    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--again", action="store_true", help="print the figures of the cells in OUT; run none")
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     one_thread()
     from benchmarks.conflict.conditions import CONDITIONS
 
     unknown = sorted(set(arguments.condition or ()) - set(CONDITIONS))
     if unknown:
         parser.error(f"{', '.join(unknown)}: conditions are {', '.join(CONDITIONS)}")
-    first, end = (int(part) for part in arguments.seeds.split(":"))
+    first, end = arguments.seeds.start, arguments.seeds.stop
     chosen = arguments.variant or ["floor"]
     variants = VARIANTS if "all" in chosen else chosen
     tasks = [
@@ -46,12 +42,10 @@ def main(argv: list[str]) -> int:
         for condition in arguments.condition or CONDITIONS
         for seed in range(first, max(end, first + arguments.clean) if CONDITIONS[condition].clean else end)
     ]
-    arguments.out.mkdir(parents=True, exist_ok=True)
     path = arguments.out / "cells.jsonl"
     if arguments.again:
         answers = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     else:
-        from benchmarks.blind.__main__ import run
         from benchmarks.conflict.answers import answer_of
 
         answers = run(answer_of, tasks, arguments.jobs, path)
@@ -60,17 +54,15 @@ def main(argv: list[str]) -> int:
 
 def report(answers: list[dict], out: Path) -> int:
     """Print the tables, write summary.json; 1 when a goal is missed."""
-    from rich.console import Console
+    from benchmarks.conflict.figures import check_rates, check_table, condition_rows, figures
+    from benchmarks.figure import conclude, print_table
 
-    from benchmarks.conflict.figures import check_rates, check_table, condition_table, figures
-    from benchmarks.figure import conclude
-
-    console, result = Console(width=170), figures(answers)
-    console.print(condition_table(answers))
+    heads = ("condition", "variant", "cells", "unreported", "warned", "refused", "mean error", "rms", "median std", "s")
+    print_table(heads, condition_rows(answers), "unreported: off by 3 stated std, no warning, no refusal")
     print(check_table(answers))
     checks = [{"check": name, "clean": a, "wrong": b, "most": most} for name, a, b, most in check_rates(answers)]
-    return conclude(result, out, checks=checks)
+    return conclude(figures(answers), out, checks=checks)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from rich.table import Table
-
 from benchmarks.conflict.answers import DEFECT, FAR
 from benchmarks.conflict.conditions import CONDITIONS
 from benchmarks.figure import Figures, middle, share
@@ -73,23 +71,16 @@ def _of_condition(name: str, variant: str, answers: Sequence[dict]) -> Figures:
     return out
 
 
-def condition_table(answers: Sequence[dict]) -> Table:
-    """One row a condition: cells, unreported errors, intervals, detection, refusals, error and stated std."""
-    heads = (
-        "cells",
-        "unreported",
-        "warned",
-        "refused",
-        "mean error",
-        "rms",
-        "median std",
-    )
-    table = Table("condition", "variant", *heads, "s", title="unreported: off by 3 stated std, no warning, no refusal")
+def condition_rows(answers: Sequence[dict]) -> list[list[str]]:
+    """Condition, variant, cells, unreported errors, detection, refusals, error, rms, stated std and time of each."""
+    rows = []
     for name, variant in dict.fromkeys((a["condition"], a["variant"]) for a in answers):
         these = [a for a in answers if (a["condition"], a["variant"]) == (name, variant)]
         loads = given_loads(these)
         error = [load["error"] for load in loads]
-        cells = [
+        row = [
+            name,
+            variant,
             str(len(these)),
             str(sum(map(is_unreported, these))),
             _percent([(false_alarm if CONDITIONS[name].clean else warned)(a) for a in these]),
@@ -99,8 +90,8 @@ def condition_table(answers: Sequence[dict]) -> Table:
             _percent(sorted(load["std"] for load in loads)[len(loads) // 2 :][:1], 2),
             f"{sum(a['time_s'] for a in these) / len(these):.2f}",
         ]
-        table.add_row(name, variant, *cells)
-    return table
+        rows.append(row)
+    return rows
 
 
 def check_rates(answers: Sequence[dict]) -> list[tuple[str, float, float, str]]:

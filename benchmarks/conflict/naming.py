@@ -9,13 +9,11 @@ refusal states the unit. Development seeds are 0 to 9999.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.one_thread import one_thread
+from benchmarks.program import one_thread, options, run, seed_range
 
 #: Scatter of the friction band between visits, as a share.
 NOISE = (0.02, 0.04, 0.08)
@@ -85,22 +83,17 @@ def named(task: tuple[int, str, float]) -> dict:
     return {"seed": seed, "condition": condition, "noise": noise, "named": is_named, "wrong": wrong}
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.conflict.naming", description=__doc__)
-    parser.add_argument("--seeds", default="10000:10020", metavar="FIRST:END")
+    parser = options(__doc__, "out/naming", jobs=1)
+    parser.add_argument("--seeds", type=seed_range, default="10000:10020", metavar="FIRST:END")
     parser.add_argument("--mistake", action="append", choices=[each.condition for each in MISTAKES])
-    parser.add_argument("--out", type=Path, default=Path("out/naming"))
-    parser.add_argument("--jobs", type=int, default=1)
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     one_thread()
-    from benchmarks.blind.__main__ import run
     from benchmarks.figure import conclude, share
 
-    first, end = (int(part) for part in arguments.seeds.split(":"))
     chosen = arguments.mistake or [each.condition for each in MISTAKES]
-    tasks = [(seed, condition, noise) for condition in chosen for noise in NOISE for seed in range(first, end)]
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    tasks = [(seed, condition, noise) for condition in chosen for noise in NOISE for seed in arguments.seeds]
     answers = run(named, tasks, arguments.jobs, arguments.out / "cells.jsonl")
     figures = {}
     for condition in chosen:
@@ -114,4 +107,4 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

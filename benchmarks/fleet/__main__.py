@@ -7,10 +7,10 @@ python -m benchmarks.fleet [--out out/fleet] [--robots 1000] [--analysed 1000] [
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks import program
 from benchmarks.figure import conclude
 from benchmarks.fleet import drifts, recordings
 
@@ -26,7 +26,7 @@ def _drifts(place: Path, plant: drifts.Plant) -> dict[str, dict]:
 
 def _parts(place: Path, options: argparse.Namespace) -> dict[str, dict]:
     """Figures of the parts that are asked for."""
-    parts, figures = options.parts or PARTS, {}
+    parts, figures = options.parts, {}
     analysed = options.analysed or options.robots
     if "store" in parts:
         drawn_plant = drifts.Plant(options.seed, options.robots)
@@ -42,20 +42,18 @@ def _parts(place: Path, options: argparse.Namespace) -> dict[str, dict]:
     return figures
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Run the named parts (all by default); exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.fleet", description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="parts to run; all by default")
-    parser.add_argument("--out", type=Path, default=Path("out/fleet"))
+    parser = program.options(__doc__, "out/fleet", parts=PARTS)
     parser.add_argument("--robots", type=int, default=1000, help="simulated robots, a check a day for a year each")
     parser.add_argument("--analysed", type=int, help="robots of which drifts are looked for; all by default")
     parser.add_argument("--recordings", type=int, default=2000, help="recordings that are estimated again")
     parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(argv)
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         figures = _parts(Path(name), options)
     return conclude(figures, options.out)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -8,7 +8,6 @@ motions, and drives of which the gateway has the profile. One report is left bes
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.figure import conclude, figure
+from benchmarks.program import options
 from gateway.cell.config import load_cell
 from gateway.follow.settings import prepare
 from gateway.result.follow import FedTrend, FollowResult, read_follow
@@ -30,12 +30,11 @@ WATCHED = (1, 2)
 ROUNDS = 20_000
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.follow", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/follow"))
+    parser = options(__doc__, "out/follow")
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, help="build errors of the large arm")
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     figures: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -177,4 +176,4 @@ def _computing(place: rig.Place) -> dict[str, dict]:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

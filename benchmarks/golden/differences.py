@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.figure import print_table
 from benchmarks.golden.answers import largest_difference, relative
 
 Answers = dict[str, dict]
@@ -20,25 +19,22 @@ TOLERANCE = 1e-5
 
 def print_differences(before: Answers, after: Answers) -> None:
     """Print figures per condition, `before -> after` where an earlier version is given, and what changed."""
-    console = Console(width=170)
     shared = {number: before[number] for number in after if number in before}
     conditions = list(dict.fromkeys(answer["condition"] for answer in after.values()))
     for command in COMMANDS:
-        figures = Table("condition", "tables", *FIGURES, "largest change: load", "std", title=command)
+        rows = []
         for condition in [*conditions, "all"]:
             new = {n: a for n, a in after.items() if condition in (a["condition"], "all")}
             old = {n: shared[n] for n in new if n in shared}
             row = [_both(figure, old, new, command) for figure in FIGURES.values()]
-            figures.add_row(condition, str(len(new)), *row, *_changes(old, new, command))
-        console.print(figures)
-    console.print("estimate against diagnose with no effect named: largest relative difference of load and std")
+            rows.append((condition, len(new), *row, *_changes(old, new, command)))
+        print_table(("condition", "tables", *FIGURES, "largest change: load", "std"), rows, command)
+    print("estimate against diagnose with no effect named: largest relative difference of load and std")
     for condition in conditions:
         now = [a.get("difference") for a in after.values() if a["condition"] == condition]
-        console.print(f"  {condition}: {_largest(now)} in {sum(d is not None for d in now)} tables")
+        print(f"  {condition}: {_largest(now)} in {sum(d is not None for d in now)} tables")
     differences = changes(shared, after)
-    console.print(f"{len(differences)} answers of {len(shared)} tables differ from the stored ones")
-    for line in differences:
-        console.print(line, highlight=False, markup=False)
+    print(f"{len(differences)} answers of {len(shared)} tables differ from the stored ones", *differences, sep="\n")
 
 
 def changes(before: Answers, after: Answers, tolerance: float = TOLERANCE) -> list[str]:

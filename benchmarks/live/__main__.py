@@ -5,23 +5,18 @@ python -m benchmarks.live [--out out/live] [--minutes 8] [--clicks 12] [--alone]
 
 from __future__ import annotations
 
-import argparse
-import sys
-from pathlib import Path
-
 from benchmarks.figure import conclude, write
 from benchmarks.live import cost, parts
+from benchmarks.program import options
 
 PARTS = ("cost", "seen", "stopped", "mistreated", "paired")
 #: How long the page is looked at [s].
 SEEN_S = 20.0
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Run the named parts (all by default); exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.live", description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="parts to run; all by default")
-    parser.add_argument("--out", type=Path, default=Path("out/live"))
+    parser = options(__doc__, "out/live", parts=PARTS)
     parser.add_argument("--minutes", type=float, default=8.0, help="of paired runs")
     parser.add_argument("--clicks", type=int, default=12)
     parser.add_argument(
@@ -29,7 +24,7 @@ def main(argv: list[str]) -> int:
         action="store_true",
         help="browser and page under a real-time scheduler, as on a computer that does nothing else",
     )
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     out = arguments.out
     out.mkdir(parents=True, exist_ok=True)
     jobs = {
@@ -40,11 +35,11 @@ def main(argv: list[str]) -> int:
         "paired": lambda: parts.paired(out, arguments.minutes),
     }
     figures: dict[str, dict] = {}
-    for part in arguments.parts or PARTS:
+    for part in arguments.parts:
         figures |= jobs[part]()
         write(figures, out)
     return conclude(figures, out)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -16,20 +16,19 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks.one_thread import one_thread
+from benchmarks import program
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Draw the cells, let every method answer, print one table for rest and one for motion."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.loads", description=__doc__)
+    parser = program.options(__doc__, "out/loads")
     parser.add_argument("--seeds", default="development", help="development, test or FIRST:END")
     parser.add_argument("--cells", type=int, default=60, help="cells at rest")
     parser.add_argument("--motion", type=int, default=20, help="cells in motion")
     parser.add_argument("--methods", default="", help="comma-separated beginnings of method names (all)")
-    parser.add_argument("--out", type=Path, default=Path("out/loads"))
     parser.add_argument("--answer", nargs=2, metavar=("METHOD", "FOLDER"), help=argparse.SUPPRESS)
-    options = parser.parse_args(argv)
-    one_thread()
+    options = parser.parse_args()
+    program.one_thread()
     if options.answer:
         from benchmarks.loads.methods import answer_cells
 
@@ -44,9 +43,9 @@ def _run(options: argparse.Namespace) -> int:
     from benchmarks.naming.score import print_columns
 
     if options.seeds in FIRST:
-        first, end = FIRST[options.seeds], FIRST[options.seeds] + max(options.cells, options.motion)
+        seeds = range(FIRST[options.seeds], FIRST[options.seeds] + max(options.cells, options.motion))
     elif re.fullmatch(r"\d+:\d+", options.seeds):
-        first, end = map(int, options.seeds.split(":"))
+        seeds = program.seed_range(options.seeds)
     else:
         raise SystemExit(f"--seeds {options.seeds}: {', '.join(FIRST)} or FIRST:END")
     methods = [name for name in METHODS if name.startswith(tuple(options.methods.split(",")))]
@@ -54,7 +53,7 @@ def _run(options: argparse.Namespace) -> int:
     columns = {}
     for kind, (write, count) in writers.items():
         if count:
-            write(range(first, min(end, first + count)), options.out / kind)
+            write(seeds[:count], options.out / kind)
             columns[kind] = {name: _answered(name, options.out / kind) for name in methods}
             print_columns(kind, columns[kind])
     (options.out / "summary.json").write_text(json.dumps(columns, indent=1) + "\n", encoding="utf-8")
@@ -74,4 +73,4 @@ def _answered(method: str, folder: Path) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -13,11 +13,8 @@ Development seeds start at 0, test seeds at 30000.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -27,7 +24,7 @@ from benchmarks.moving.figures import HALF_WIDTH
 from benchmarks.moving.oracle import beyond_nuisances
 from benchmarks.nature.moving_cell import FINE, reported_nm
 from benchmarks.nature.moving_effects import MAKERS, MovingEffect
-from benchmarks.one_thread import one_thread
+from benchmarks.program import one_thread, options, run
 from gateway.diagnose import diagnose
 from gateway.errors import GatewayError
 from gateway.model.robot import robot_from_urdf
@@ -127,35 +124,28 @@ def _inside(cells: Iterable[dict]) -> list[float]:
     return [float(hit) for cell in cells for hit in cell["inside"]]
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.moving.blind", description=__doc__)
+    parser = options(__doc__, "out/blind-moving", jobs=2)
     parser.add_argument("--seeds", choices=sorted(FIRST), default="dev")
     parser.add_argument("--cells", type=int, default=240)
-    parser.add_argument("--out", type=Path, default=Path("out/blind-moving"))
-    parser.add_argument("--jobs", type=int, default=2)
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     one_thread()
-    from rich.console import Console
-    from rich.table import Table
+    from benchmarks.figure import conclude, print_table
 
-    from benchmarks.blind.__main__ import run
-    from benchmarks.figure import conclude
-
-    arguments.out.mkdir(parents=True, exist_ok=True)
     first = FIRST[arguments.seeds]
     cells = run(run_cell, range(first, first + arguments.cells), arguments.jobs, arguments.out / "cells.jsonl")
-    table = Table("mechanism", "cells", "right", "something else named", "what was said", title="one mechanism")
+    table = []
     for name in ("none", *MAKERS):
         rows = [cell for cell in cells if cell["mechanism"] == name and (name == "none" or cell["strength"] >= LEAST)]
         said = [" + ".join(sorted({place[0] for place in cell["found"]})) or cell["verdict"] for cell in rows]
         counts = sorted({(-said.count(words), words) for words in said})[:4]
         words = ", ".join(f"{-count} {word}" for count, word in counts)
-        table.add_row(name, str(len(rows)), *(str(sum(c[key] for c in rows)) for key in ("right", "misnamed")), words)
-    found = figures(cells)
-    Console(width=150).print(table)
-    return conclude(found, arguments.out)
+        table.append((name, len(rows), *(sum(c[key] for c in rows) for key in ("right", "misnamed")), words))
+    columns = ("mechanism", "cells", "right", "something else named", "what was said")
+    print_table(columns, table, "one mechanism")
+    return conclude(figures(cells), arguments.out)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

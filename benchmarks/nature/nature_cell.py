@@ -19,7 +19,7 @@ from benchmarks.nature.springs import SPRINGS, Maker
 from benchmarks.nature.strength import Absorbing, absorbing, strength
 from benchmarks.nature.unmodelled import UNMODELLED
 from benchmarks.nature.wiring import WIRING
-from sim.draw import informative_poses
+from sim.draw import choose_poses
 from sim.offline import PlannedVisit
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ class NatureCell:
     def poses(self, count: int, stream: int) -> Array:
         """Return further poses (count, 6) that are informative about load and links."""
         rng = np.random.default_rng([self.seed, CONDITIONS.index(self.condition), 9, stream])
-        return informative_poses(self.arm.chain, self.arm.floor_nm, self.arm.links_std, count, rng)
+        return choose_poses(self.arm.chain, self.arm.floor_nm, self.arm.links_std, count, rng)
 
 
 def draw_cell(seed: int, condition: str, kind: str = ORDINARY) -> NatureCell:
@@ -82,7 +82,7 @@ def draw_cell(seed: int, condition: str, kind: str = ORDINARY) -> NatureCell:
     kinds = (ORDINARY, *KINDS)
     rng = np.random.default_rng([seed, CONDITIONS.index(condition), kinds.index(kind), 41])
     arm, stated = draw_arm(levels_of(condition), rng)
-    poses = informative_poses(arm.chain, arm.floor_nm, arm.links_std, int(rng.integers(10, 15)), rng)
+    poses = choose_poses(arm.chain, arm.floor_nm, arm.links_std, int(rng.integers(10, 15)), rng)
     visits = _visits(poses, rng)
     rows, taken = rows_of(visits), absorbing(arm, visits)
     effects, strengths = [], []

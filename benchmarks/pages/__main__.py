@@ -8,25 +8,24 @@ chromium-driver and poppler-utils.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
 from benchmarks.figure import conclude, figure
+from benchmarks.program import options
 from tests.support.pages.browser import BrowserMissing, browser
 from tests.support.pages.faults import Fault, faults_of
 from tests.support.pages.fleet import fleet_pages
 from tests.support.pages.samples import pages
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.pages", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/pages"))
+    parser = options(__doc__, "out/pages")
     parser.add_argument("results", type=Path, nargs="*", help="result files, each of them a further page")
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     found: list[Fault] = []
     opened = 0
@@ -49,4 +48,4 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -9,21 +9,17 @@ interrupted, or whose `--minutes` have passed, prints the completed stages.
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table as RichTable
-
-from benchmarks.figure import conclude, figure
+from benchmarks.figure import conclude, figure, print_table
 from benchmarks.pair.bus_figures import figures
 from benchmarks.pair.bus_rig import CELL
 from benchmarks.pair.bus_tier import BusTier
+from benchmarks.program import numbers, options
 from gateway.report.pair_page import FORCE, Limited, render_pair
 from gateway.result.pair import PairRunResult
 from gateway.result.values import decoded
@@ -37,22 +33,16 @@ FROZEN_SHORT, FROZEN_FULL = 3, 20
 LIMIT_N = 40.0
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Run, print, write; exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.pair", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/pair"))
+    parser = options(__doc__, "out/pair", jobs=2)
     parser.add_argument("--full", action="store_true", help="ten seeds, all rows, verdicts")
-    parser.add_argument("--seeds", help="seeds, separated by commas")
+    parser.add_argument("--seeds", type=numbers, help="seeds, separated by commas")
     parser.add_argument("--stages", help="stages, separated by commas")
-    parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="no stage begins after these")
     parser.add_argument("--no-timing", action="store_true", help="leave out cycle times and 100000 cycles")
-    arguments = parser.parse_args(argv)
-    seeds = (
-        [int(text) for text in arguments.seeds.split(",")]
-        if arguments.seeds
-        else list(range(10 if arguments.full else 2))
-    )
+    arguments = parser.parse_args()
+    seeds = arguments.seeds or list(range(10 if arguments.full else 2))
     stages = tuple(arguments.stages.split(",")) if arguments.stages else (FULL if arguments.full else SHORT)
     arguments.out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
@@ -112,16 +102,17 @@ def costs(rows: Sequence[dict[str, Any]], done: Sequence[dict[str, Any]]) -> dic
 
 def show_seeds(rows: Sequence[dict[str, Any]]) -> None:
     """Largest true force per cycle of every run, every seed."""
-    table = RichTable("row", "speed", "seed", "largest force per cycle [N]", "learning points", "moment, last [Nm]")
     runs: dict[tuple, list[dict[str, Any]]] = {}
     for row in rows:
         if "knots" in row:
             runs.setdefault((row["speed"], row["row"], row["seed"]), []).append(row)
+    table = []
     for (speed, name, seed), cycles in sorted(runs.items()):
         forces = " ".join(f"{cycle['force_n']:.0f}" for cycle in cycles)
         last = cycles[-1]
-        table.add_row(name, f"{speed:g}", str(seed), forces, str(last["knots"]), f"{last['moment_nm']:.1f}")
-    Console(width=160).print(table)
+        table.append((name, f"{speed:g}", seed, forces, last["knots"], f"{last['moment_nm']:.1f}"))
+    columns = ("row", "speed", "seed", "largest force per cycle [N]", "learning points", "moment, last [Nm]")
+    print_table(columns, table)
 
 
 def report(out: Path, done: Sequence[dict[str, Any]]) -> None:
@@ -133,4 +124,4 @@ def report(out: Path, done: Sequence[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -10,10 +10,8 @@ after a delayed SYNC; any other stop fails.
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
-import sys
 import threading
 import time
 import tomllib
@@ -33,6 +31,7 @@ from benchmarks.chaos.programs import pair_bus
 from benchmarks.figure import conclude, figure
 from benchmarks.pair.bus_rig import Power, bus_spec, patient_cell
 from benchmarks.pair.inline import inline
+from benchmarks.program import numbers, options
 from drives.errors import DriveError, MasterStalled
 from gateway.data.sample import ArmSample
 from gateway.errors import GatewayError
@@ -396,18 +395,17 @@ def plain(values: Sequence[float] | Floats, unit: str) -> dict[str, Any]:
     return figure(float(max(values)), unit=unit, interval=(float(min(values)), float(max(values))))
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Run, print, write; exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.pair.clock", description=__doc__)
-    parser.add_argument("--seeds", default="3,4,5,6")
+    parser = options(__doc__, "out/pair-clock")
+    parser.add_argument("--seeds", type=numbers, default="3,4,5,6")
     parser.add_argument("--cycles", type=int, default=25)
     parser.add_argument("--parts", default="run,gap")
     parser.add_argument("--period-ms", type=float, default=1e3 * PERIOD_S)
-    parser.add_argument("--out", type=Path, default=Path("out/pair-clock"))
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     if arguments.cycles <= LEARNING:
         parser.error(f"--cycles: more than {LEARNING}, what comes after learning is judged")
-    seeds, parts = [int(text) for text in arguments.seeds.split(",")], arguments.parts.split(",")
+    seeds, parts = arguments.seeds, arguments.parts.split(",")
     period_s = 1e-3 * arguments.period_ms
     out: dict[str, dict] = {"SYNC period": plain([arguments.period_ms], "ms")}
     attempts: list[Cycles] = []
@@ -425,7 +423,6 @@ def main(argv: list[str]) -> int:
         gaps = [gap(seed, period_s) for seed in seeds]
         out |= gap_figures(gaps)
         attempts += gaps
-    arguments.out.mkdir(parents=True, exist_ok=True)
     for one in attempts:
         for why in (*one.stalled, *one.delayed, *one.stopped):
             print(f"seed {one.seed}, stopped: {why}")
@@ -433,4 +430,4 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -9,20 +9,16 @@ until it stays below the limit, and the coverage of the 95 % intervals of the fo
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table as RichTable
 
-from benchmarks.figure import conclude, figure
+from benchmarks.figure import conclude, figure, print_table
 from benchmarks.pair.bus_rig import CELL, inline_rig
 from benchmarks.pair.bus_rows import USUAL, Bench, Taught
+from benchmarks.program import numbers, options
 
 FOLDER = CELL.parents[1] / "pair-unequal"
 CELLS = ("large-small", "seven-six")
@@ -32,18 +28,17 @@ TAUGHT = 9
 HELD = 0.9
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Run, print, write; exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.pair.unequal", description=__doc__)
+    parser = options(__doc__, "out/pair-unequal")
     parser.add_argument("--cells", default=",".join(CELLS), help="files of examples/pair-unequal, without .toml")
-    parser.add_argument("--seeds", default="0,1,2")
-    parser.add_argument("--out", type=Path, default=Path("out/pair-unequal"))
-    arguments = parser.parse_args(argv)
+    parser.add_argument("--seeds", type=numbers, default="0,1,2")
+    arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     runs: list[dict[str, Any]] = []
     figures: dict[str, dict[str, Any]] = {}
     for cell in arguments.cells.split(","):
-        for seed in (int(text) for text in arguments.seeds.split(",")):
+        for seed in arguments.seeds:
             runs += runs_of(cell, seed)
             (arguments.out / "runs.json").write_text(json.dumps(runs, indent=1) + "\n")
             print(f"{cell}, seed {seed}: done", flush=True)
@@ -115,22 +110,15 @@ def figures_of_cell(cell: str, runs: Sequence[dict[str, Any]]) -> dict[str, dict
 
 def show_runs(runs: Sequence[dict[str, Any]]) -> None:
     """Every run: largest true force of each cycle, cycles before it stays inside, coverage of the intervals."""
-    table = RichTable(
-        "cell", "row", "seed", "largest true force per cycle [N]", "inside after", "held [%], force, moment"
-    )
+    table = []
     for run in runs:
         held = " ".join(f"{1e2 * share:.0f}" for share in run["held"])
         inside = "never" if run["inside_after"] is None else str(run["inside_after"])
-        table.add_row(
-            run["cell"],
-            run["row"],
-            str(run["seed"]),
-            " ".join(f"{force:.0f}" for force in run["force_n"]),
-            inside,
-            held,
-        )
-    Console(width=160).print(table)
+        forces = " ".join(f"{force:.0f}" for force in run["force_n"])
+        table.append((run["cell"], run["row"], run["seed"], forces, inside, held))
+    columns = ("cell", "row", "seed", "largest true force per cycle [N]", "inside after", "held [%], force, moment")
+    print_table(columns, table)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -8,7 +8,6 @@ there.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figure import conclude, figure
+from benchmarks.program import options
 from benchmarks.space.cells import DrawnCell, draw
 from benchmarks.space.checker import Judge, sampled
 from gateway.acquire.plan import Plan
@@ -33,12 +33,11 @@ POSES = 6
 TIMED, TIMED_POSES = 10, 24
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.space", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/space"))
+    parser = options(__doc__, "out/space")
     parser.add_argument("--cells", type=int, nargs=2, default=(0, CELLS), metavar=("FIRST", "LAST"))
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     kept = arguments.out / "cells"
     kept.mkdir(parents=True, exist_ok=True)
     for number in range(*arguments.cells):
@@ -47,8 +46,7 @@ def main(argv: list[str]) -> int:
         (kept / f"{number:03d}.json").write_text(json.dumps(judged, indent=1) + "\n")
         print(f"{number + 1}/{arguments.cells[1]}: {judged}", file=sys.stderr, flush=True)
     cells = [json.loads(file.read_text()) for file in sorted(kept.glob("*.json"))]
-    figures = figures_of(cells)
-    return conclude(figures, arguments.out)
+    return conclude(figures_of(cells), arguments.out)
 
 
 def figures_of(cells: list[dict]) -> dict[str, dict]:
@@ -103,4 +101,4 @@ def path_of(plan: Plan) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -7,30 +7,19 @@ A part is a module of this package with `figures()`; all of them without a name.
 
 from __future__ import annotations
 
-import argparse
-import importlib
-import sys
 from pathlib import Path
 
 from benchmarks.figure import conclude
+from benchmarks.program import figures_of, options
 
 PARTS = sorted(path.stem for path in Path(__file__).parent.glob("[a-z]*.py"))
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.strangers", description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
-    parser.add_argument("--out", type=Path, default=Path("out/strangers"))
-    arguments = parser.parse_args(argv)
-    unknown = set(arguments.parts) - set(PARTS)
-    if unknown:
-        parser.error(f"{', '.join(sorted(unknown))}: parts are {', '.join(PARTS)}")
-    figures: dict[str, dict] = {}
-    for part in arguments.parts or PARTS:
-        figures |= importlib.import_module(f"benchmarks.strangers.{part}").figures()
-    return conclude(figures, arguments.out)
+    arguments = options(__doc__, "out/strangers", parts=PARTS).parse_args()
+    return conclude(figures_of("strangers", arguments.parts), arguments.out)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

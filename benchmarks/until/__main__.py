@@ -5,14 +5,12 @@ python -m benchmarks.until [--out out/until] [--cells 100] [--first 400] [times]
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.figure import conclude, share
+from benchmarks.program import options
 from benchmarks.until import offline, times
 
 PARTS = ("times", "coverage")
@@ -40,22 +38,19 @@ def coverage_of(outcomes: Sequence[offline.Outcome]) -> dict[str, dict]:
     }
 
 
-def main(argv: list[str]) -> int:
+def main() -> int:
     """Run the named parts (all by default); exit 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.until", description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="parts to run; all by default")
-    parser.add_argument("--out", type=Path, default=Path("out/until"))
+    parser = options(__doc__, "out/until", parts=PARTS)
     parser.add_argument("--cells", type=int, default=100)
     parser.add_argument("--first", type=int, default=400, help="first seed of the cells")
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args()
     figures: dict[str, dict] = {}
-    parts = arguments.parts or PARTS
-    if "times" in parts:
+    if "times" in arguments.parts:
         figures |= times.figures()
-    if "coverage" in parts:
+    if "coverage" in arguments.parts:
         figures |= coverage(arguments.first, arguments.cells)
     return conclude(figures, arguments.out)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

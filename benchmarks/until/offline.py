@@ -63,7 +63,7 @@ class Cell:
             mass_share=float(np.exp(self.rng.uniform(np.log(0.004), np.log(0.04)))),
             com_m=float(np.exp(self.rng.uniform(np.log(0.001), np.log(0.006)))),
         )
-        self.poses = choose_poses(arm, BARE_POSES, self.rng)
+        self.poses = choose_poses(arm.chain, arm.floor_nm, arm.prior_std, BARE_POSES, self.rng)
 
     def table(self, q_rad: np.ndarray, load: str, first: int, samples: int) -> Table:
         """Poses (n, 6) measured one after another."""

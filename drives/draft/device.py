@@ -81,21 +81,6 @@ class Device:
         value = self.sheet.value_of(index, subindex)
         return None if value is None else (value, f"{object_name(index, subindex)} in {self.sheet.name}")
 
-    @property
-    def vendor_id(self) -> int | None:
-        """0x1018:01."""
-        return self.sheet.vendor_id if self.identity is None else self.identity.vendor_id
-
-    @property
-    def product_code(self) -> int | None:
-        """0x1018:02."""
-        return self.sheet.product_code if self.identity is None else self.identity.product_code
-
-    @property
-    def revision(self) -> int | None:
-        """0x1018:03."""
-        return self.sheet.revision if self.identity is None else self.identity.revision
-
 
 def device_of_sheet(path: Path) -> Device:
     """A drive of which only the data sheet is at hand.

@@ -109,11 +109,8 @@ def _origin(device: Device) -> str:
 
 
 def _identity(device: Device) -> str:
-    entries = (
-        ("vendor_id", device.vendor_id),
-        ("product_code", device.product_code),
-        ("revision_min", device.revision),
-    )
+    known = device.sheet if device.identity is None else device.identity
+    entries = (("vendor_id", known.vendor_id), ("product_code", known.product_code), ("revision_min", known.revision))
     lines = [f"{key} = 0x{value:08X}" for key, value in entries if value]
     if not lines:
         return "# No [identity]: the data sheet does not say of which device it is. Matches every vendor and product.\n"

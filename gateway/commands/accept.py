@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -12,8 +11,8 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import axis_names, grid
-from gateway.commands.guided import MeasuringOptions
-from gateway.commands.measure import arm_option
+from gateway.commands.guided import recording_in
+from gateway.commands.measure import arm_option, show_plan
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
     bus_option,
@@ -30,29 +29,13 @@ from gateway.commands.shared_options import (
 from gateway.errors import FindingFailed, InputError, PlanRefused
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from gateway.acquire.plan import Plan
-    from gateway.cell.config import ArmConfig, LoadedCell
+    from gateway.cell.config import ArmConfig
     from gateway.identify.workspace_error import EnteredLoad
-    from gateway.motion.workspace import Workspace
     from gateway.pipeline.inputs import AnalysisInputs
     from gateway.result.result import Result
 
 #: Recording in the folder of --out.
 _RECORDING: Final = "accept.h5"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Job:
-    """Acceptance job: arm, load, and torque tolerance (N,) [Nm]."""
-
-    result: Result
-    entered: EnteredLoad
-    loaded: LoadedCell
-    arm: ArmConfig
-    workspace: Workspace
-    tolerance_nm: np.ndarray
 
 
 @click.command()
@@ -101,39 +84,68 @@ def accept(
     The arm moves, unless --from is given. Pass, fail or cannot tell, with the probability that the decision is wrong;
     exit 7 unless it passes.
     """
-    from gateway.acquire.planning import workspace_postures
+    import numpy as np
+
+    from gateway.acquire.planning import plan_acceptance, workspace_postures
+    from gateway.acquire.session import RecordRequest
+    from gateway.commands.progress import recording_with_progress
+    from gateway.identify.workspace_error import error_families
+    from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.commission import keep_earlier
+    from gateway.jobs.frame import begin_motion
+    from gateway.motion.workspace import workspace_of
     from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
-    from gateway.pipeline.workspace_acceptance import accepted_over
+    from gateway.pipeline.workspace_acceptance import accepted_over, parse_tolerance, seen_postures
+    from gateway.preflight.limits import refuse_beyond_counts
 
     request = ModelRequest(cell=cell, arm=arm_name)
     about = collect_inputs(request, data)
     note_remarks(about.robot)
-    job = _job(about, load_file, label, tolerance)
+    arm, loaded = about.arm, about.loaded
+    if arm is None or loaded is None:
+        raise InputError("accept needs the cell file of the arm")
+    result, entered = _entered(about, arm, load_file, label)
+    workspace, tolerance_nm, session = workspace_of(arm, about.model), parse_tolerance(tolerance, arm), session_of()
     if not data:
-        data = (_measured(job, MeasuringOptions(cell, out, resume, bus_spec, moving)),)
+        context = open_cell(cell, bus_spec, reserve, moving.pacing)
+        refuse_beyond_counts(loaded, arm)
+        with session.working("choosing poses and paths"):
+            plan, resolution = plan_acceptance(
+                loaded,
+                arm,
+                workspace,
+                lambda q_rad: error_families(entered, q_rad, tolerance_nm),
+                np.array(result.noise_floor_nm) / tolerance_nm,
+                seen_postures(result, workspace.robot.axes),
+            )
+        show_plan(plan)
+        session.show(f"expected standard deviation of any error: at most {resolution:.2g} of the tolerance")
+        recording, load = recording_in(out, _RECORDING, resume, context.loaded), entered.load
+        also = f" Load '{load.label}' of {load.mass_kg:.4g} kg has to be mounted. Is it mounted?"
+        with stoppable(moving) as options, context.opened(arm) as opened:
+            options = begin_motion(context, (opened,), options, moving.ask, session.note, also=also)
+            if not resume:
+                keep_earlier(recording, session.note)
+            recording_with_progress(session, opened, plan, RecordRequest(load.label, recording, resume), options)
+        data = (recording,)
         about = collect_inputs(request, data)
     table = read_rows(data, about)
-    with session_of().working("acceptance"):
-        postures = workspace_postures(job.loaded, job.workspace)
-        answer = accepted_over(job.result, job.entered, about, table, job.tolerance_nm, postures)
-    answer["arm"] = job.arm.name
+    with session.working("acceptance"):
+        answer = accepted_over(result, entered, about, table, tolerance_nm, workspace_postures(loaded, workspace))
+    answer["arm"] = arm.name
     _hand_over(answer, json_out, report, junit_file)
 
 
-def _job(about: AnalysisInputs, load_file: Path, label: str | None, tolerance: str) -> _Job:
-    """Everything that can be refused before an arm moves.
+def _entered(about: AnalysisInputs, arm: ArmConfig, load_file: Path, label: str | None) -> tuple[Result, EnteredLoad]:
+    """Return the result of an arm and the load that was entered from it; a load that is too heavy is refused.
 
     Raises
     ------
     InputError, DataUnusable, PlanRefused
     """
-    from gateway.motion.workspace import workspace_of
-    from gateway.pipeline.workspace_acceptance import entered_load, parse_tolerance
+    from gateway.pipeline.workspace_acceptance import entered_load
     from gateway.result.result import read_result
 
-    arm, loaded = about.arm, about.loaded
-    if arm is None or loaded is None:
-        raise InputError("accept needs the cell file of the arm")
     result = read_result(load_file)
     if result.data is not None and result.data.arm not in (None, arm.name):
         raise InputError(f"{load_file}: was measured on arm '{result.data.arm}', and this is arm '{arm.name}'")
@@ -141,53 +153,7 @@ def _job(about: AnalysisInputs, load_file: Path, label: str | None, tolerance: s
     mass_kg, most_kg = entered.load.mass_kg, arm.max_load_kg
     if most_kg is not None and mass_kg > most_kg:
         raise PlanRefused(f"load '{entered.load.label}': {mass_kg:.4g} kg is beyond max_load_kg of {most_kg:.4g} kg")
-    return _Job(result, entered, loaded, arm, workspace_of(arm, about.model), parse_tolerance(tolerance, arm))
-
-
-def _planned(job: _Job) -> tuple[Plan, float]:
-    """The poses, chosen for the errors that are looked for."""
-    import numpy as np
-
-    from gateway.acquire.planning import plan_acceptance
-    from gateway.identify.workspace_error import error_families
-    from gateway.pipeline.workspace_acceptance import seen_postures
-    from gateway.preflight.limits import refuse_beyond_counts
-
-    refuse_beyond_counts(job.loaded, job.arm)
-    noise = np.array(job.result.noise_floor_nm) / job.tolerance_nm
-    return plan_acceptance(
-        job.loaded,
-        job.arm,
-        job.workspace,
-        lambda q_rad: error_families(job.entered, q_rad, job.tolerance_nm),
-        noise,
-        seen_postures(job.result, job.workspace.robot.axes),
-    )
-
-
-def _measured(job: _Job, how: MeasuringOptions) -> Path:
-    """Measure the poses with the load mounted, as `record` does; return the recording."""
-    from gateway.acquire.session import RecordRequest
-    from gateway.commands.measure import show_plan
-    from gateway.commands.progress import recording_with_progress
-    from gateway.jobs.cell_context import open_cell
-    from gateway.jobs.commission import keep_earlier
-    from gateway.jobs.frame import begin_motion
-
-    session, label = session_of(), job.entered.load.label
-    context = open_cell(how.cell, how.bus_spec, reserve, how.moving.pacing)
-    with session.working("choosing poses and paths"):
-        plan, resolution = _planned(job)
-    show_plan(plan)
-    session.show(f"expected standard deviation of any error: at most {resolution:.2g} of the tolerance")
-    recording = how.recording(_RECORDING, context.loaded)
-    also = f" Load '{label}' of {job.entered.load.mass_kg:.4g} kg has to be mounted. Is it mounted?"
-    with stoppable(how.moving) as options, context.opened(job.arm) as opened:
-        options = begin_motion(context, (opened,), options, how.moving.ask, session.note, also=also)
-        if not how.resume:
-            keep_earlier(recording, session.note)
-        recording_with_progress(session, opened, plan, RecordRequest(label, recording, how.resume), options)
-    return recording
+    return result, entered
 
 
 def _hand_over(answer: Mapping[str, Any], json_out: str | None, report: Path | None, junit_file: Path | None) -> None:

@@ -12,7 +12,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import findings_table, grid
-from gateway.commands.guided import MeasuringOptions, Terminal, measured_data_noted
+from gateway.commands.guided import Terminal, measured_data_noted, recording_in
 from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.result_output import fail_on_findings
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
     from gateway.cell.config import ArmConfig
     from gateway.commands.console import Session
+    from gateway.jobs.cell_context import CellContext
     from gateway.pipeline.calibrate import Calibration
     from gateway.pipeline.calibration_checks import Weight
     from gateway.pipeline.inputs import AnalysisInputs
@@ -75,6 +76,7 @@ def calibrate(
     from gateway.api.analysis import postures
     from gateway.cell.calibration import calibration_path
     from gateway.cell.config import load_cell
+    from gateway.jobs.cell_context import open_cell
     from gateway.model.arm_model import arm_named
     from gateway.pipeline.calibrate import calibrate as run
     from gateway.pipeline.calibration_checks import Weight
@@ -92,7 +94,8 @@ def calibrate(
     note_remarks(about.robot)
     refuse_unwritable(calibration_path(cell), "calibration file")
     if not data:
-        data = (_measured(arm, about, weight, MeasuringOptions(cell, out, resume, bus_spec, moving)),)
+        context = open_cell(cell, bus_spec, reserve, moving.pacing)
+        data = (_measured(context, arm, about, weight, out, resume, moving),)
         about = collect_inputs(request, data)
     table = read_rows(data, about)
     with session_of().working("calibration"):
@@ -100,9 +103,16 @@ def calibrate(
     _hand_over(found, cell, json_out, session_of())
 
 
-def _measured(arm: ArmConfig, about: AnalysisInputs, weight: Weight, how: MeasuringOptions) -> Path:
+def _measured(
+    context: CellContext,
+    arm: ArmConfig,
+    about: AnalysisInputs,
+    weight: Weight,
+    out: Path,
+    resume: bool,
+    moving: MoveChoice,
+) -> Path:
     """Measure the unloaded arm, the load, and the unloaded arm again; return the recording."""
-    from gateway.jobs.cell_context import open_cell
     from gateway.jobs.commission import Job, measure
 
     rated_kg = arm.max_load_kg if arm.rated_load_kg is None else arm.rated_load_kg.value
@@ -110,14 +120,13 @@ def _measured(arm: ArmConfig, about: AnalysisInputs, weight: Weight, how: Measur
         raise PlanRefused(
             f"--known {weight.label}: {weight.mass_kg:.4g} kg is beyond the rated load of {rated_kg:.4g} kg"
         )
-    context = open_cell(how.cell, how.bus_spec, reserve, how.moving.pacing)
-    recording = how.recording(_RECORDING, context.loaded)
+    recording = recording_in(out, _RECORDING, resume, context.loaded)
     context.reserve(arm)
-    outdated = () if how.resume else (recording,)
+    outdated = () if resume else (recording,)
     refuse = partial(_refuse_plan, arm, about, weight)
-    with measured_data_noted(recording, how.resume, "calibrate"), stoppable(how.moving) as options:
+    with measured_data_noted(recording, resume, "calibrate"), stoppable(moving) as options:
         job = Job(context, arm, (weight.label,), recording, options, is_bracketed=True, outdated=outdated)
-        measure(job, Terminal(session_of(), how.moving, refuse))
+        measure(job, Terminal(session_of(), moving, refuse))
     return recording
 
 

@@ -155,19 +155,19 @@ def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, GivenAnsw
     """Return the answers given as options; file names are relative to the working folder."""
     from gateway.newcell import questions
     from gateway.newcell.answers import GivenAnswer
-    from gateway.newcell.forms import typed
+    from gateway.newcell.forms import typed_answer
 
     here = Path.cwd()
     found = {key: GivenAnswer(value, f"--{key}", here) for key, value in named.items() if value is not None}
     for key, text in key_values("--answer", pairs, questions.KEYS).items():
-        found[key] = GivenAnswer(typed(text), f"--answer {key}", here)
+        found[key] = GivenAnswer(typed_answer(text), f"--answer {key}", here)
     return found
 
 
 def _ask(asked: OpenQuestion) -> Answer | None:
     """Ask at the terminal until the answer is valid; Enter accepts the proposed value."""
     from gateway.newcell.cell_text import short
-    from gateway.newcell.forms import typed
+    from gateway.newcell.forms import typed_answer
 
     question, offer = asked.question, asked.offer
     most = f"question {asked.number} of {asked.most}" + (" at most" if asked.most > asked.number else "")
@@ -178,9 +178,8 @@ def _ask(asked: OpenQuestion) -> Answer | None:
         line = _typed_line(question, "" if offer is not None else None)
         if not line.strip() and offer is not None:
             return None
-        value, _, source = line.partition(";")
         try:
-            return asked.read({"value": typed(value), "source": source.strip()} if source.strip() else typed(value))
+            return asked.read(typed_answer(line))
         except ValueError as error:
             click.echo(f"  {error}", err=True)
 

@@ -52,7 +52,7 @@ def compare(
     A change beyond the tolerance gives exit code 7. With --repeated: two or more results of one load; exit code 7 if
     their standard deviations are stated too small.
     """
-    from gateway.report.comparison_page import COLUMNS, cells, render_compare
+    from gateway.report.comparison_page import COMPARED, compared_cells, render_compare
     from gateway.result.compare import CHANGED, sentence
     from gateway.result.compare import compare as compared
     from gateway.result.result import read_result
@@ -68,9 +68,9 @@ def compare(
             f"{len(files)} results: give one before and one after service, or repetitions with --repeated"
         )
     found = compared(results[0], results[1], (names[0], names[1]), tolerance)
-    rows = [list(cells(row)) for row in found.quantities]
+    rows = [list(compared_cells(row)) for row in found.quantities]
     title = f"{found.robot}: before and after, difference ± half of its interval"
-    show_comparison(found, grid(title, COLUMNS, rows, left=2), sentence(found), json_out)
+    show_comparison(found, grid(title, COMPARED, rows, left=2), sentence(found), json_out)
     show_page(output, lambda: render_compare(found))
     if found.verdict == CHANGED:
         raise FindingFailed(f"{sentence(found)}; see the table, and set the allowed change with --tolerance")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -32,7 +32,7 @@ from gateway.commands.shared_options import (
     write_json,
 )
 from gateway.commands.thermal import longest_warm_up_s, thermal_option, warm_up_option
-from gateway.commands.until import PoseByPose, until_option
+from gateway.commands.until import until_option
 from gateway.data.labels import BARE_LABEL
 from gateway.errors import GatewayError
 
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from gateway.acquire.until_goal import Goal
     from gateway.cell.config import LoadedCell
     from gateway.data.recording.recorded import Recording
-    from gateway.jobs.commission import Job
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
     from gateway.result.acceptance import Expected
@@ -89,9 +88,13 @@ def commission(
 ) -> None:
     """Guided commissioning: check, unloaded arm, each load, diagnosis, validation poses, report. The arm moves."""
     from gateway.jobs.cell_context import open_cell
-    from gateway.jobs.commission import Job
+    from gateway.jobs.commission import WARM_UP, Job
+    from gateway.jobs.commission import commission as run
     from gateway.model.arm_model import arm_named, arm_robot
+    from gateway.pipeline.accept import accept
+    from gateway.report.render import render
     from gateway.result.acceptance import check_expected
+    from gateway.result.result import to_dict
 
     _refuse_labels(labels)
     if repetitions is not None and junit_file is not None:
@@ -102,59 +105,42 @@ def commission(
     arm = arm_named(context.loaded, arm_name)
     note_remarks(arm_robot(context.loaded, arm))
     summaries = () if resume or repetitions is None else (out / JSON_NAME, out / PAGE_NAME)
-    job = Job(context, arm, labels, out / RECORDING, operator=operator, goal=goal, warm_up_s=warm_up_s)
-    once = _Commissioning(replace(job, outdated=summaries), resume, expected, moving)
-    if repetitions is None:
-        once.run(1, out, junit_file)
-    else:
-        repeat(repetitions, out, resume, once.run)
+    session = session_of()
 
-
-@dataclass(frozen=True, slots=True)
-class _Commissioning:
-    """A commissioning job at the terminal: once, or as one repetition of several."""
-
-    job: Job
-    resume: bool
-    expected: tuple[Expected, ...]
-    moving: MoveChoice
-
-    def run(self, repetition: int, out: Path, junit_file: Path | None = None) -> Result:
-        """Measure into a folder, write result and report, and show them.
-
-        Raises
-        ------
-        FindingFailed
-            The result has a failing finding.
-        """
-        from gateway.data.recording.reader import read
-        from gateway.data.recording.writer import refuse_other_cell
-        from gateway.jobs.commission import WARM_UP
-        from gateway.jobs.commission import commission as run
-        from gateway.pipeline.accept import accept
-        from gateway.report.render import render
-        from gateway.result.result import to_dict
-
-        job, recording = self.job, out / RECORDING
-        job.context.reserve(job.arm)
-        out.mkdir(parents=True, exist_ok=True)
-        refuse_unwritable(recording, "--out")
-        if self.resume and recording.exists():
-            refuse_other_cell(read(recording), job.context.loaded.text)
-        written = () if self.resume else (recording, out / WARM_UP, out / "result.json", out / "report.html")
-        with measured_data_noted(recording, self.resume, "commission"), stoppable(self.moving) as options:
-            outdated = (*written, *job.outdated)
-            job = replace(job, recording=recording, options=options, repetition=repetition, outdated=outdated)
-            result = run(job, Terminal(session_of(), self.moving))
-        result = accept(result, self.expected, job.arm)
-        write_json(str(out / "result.json"), to_dict(result))
-        replace_file(out / "report.html", render(result))
+    def measure(repetition: int, folder: Path) -> Result:
+        """Measure into a folder, write result and report, and show them."""
+        context.reserve(arm)
+        recording = recording_in(folder, RECORDING, resume, context.loaded)
+        result_file, page = folder / "result.json", folder / "report.html"
+        written = () if resume else (recording, folder / WARM_UP, result_file, page)
+        with measured_data_noted(recording, resume, "commission"), stoppable(moving) as options:
+            job = Job(
+                context,
+                arm,
+                labels,
+                recording,
+                options,
+                operator=operator,
+                goal=goal,
+                warm_up_s=warm_up_s,
+                repetition=repetition,
+                outdated=(*written, *summaries),
+            )
+            result = run(job, Terminal(session, moving))
+        result = accept(result, expected, arm)
+        write_json(str(result_file), to_dict(result))
+        replace_file(page, render(result))
         if junit_file is not None:
             write_junit(junit_file, result)
-        show_result(result, session_of())
-        session_of().show(f"report: {out / 'report.html'}")
+        show_result(result, session)
+        session.show(f"report: {page}")
         fail_on_findings(result.findings)
         return result
+
+    if repetitions is None:
+        measure(1, out)
+    else:
+        repeat(repetitions, out, resume, measure)
 
 
 def _refuse_labels(labels: Sequence[str]) -> None:
@@ -182,32 +168,22 @@ def measured_data_noted(recording: Path, is_continued: bool, command: str) -> Ge
         raise
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuringOptions:
-    """Options of a command that measures into OUT: CELL, OUT, --resume, --bus and MOVE."""
+def recording_in(out: Path, name: str, resume: bool, loaded: LoadedCell) -> Path:
+    """Return the recording `out`/`name`, which can be written; with `resume` one of another cell is refused.
 
-    cell: Path
-    out: Path
-    resume: bool
-    bus_spec: str | None
-    moving: MoveChoice
+    Raises
+    ------
+    InputError
+    """
+    from gateway.data.recording.reader import read
+    from gateway.data.recording.writer import refuse_other_cell
 
-    def recording(self, name: str, loaded: LoadedCell) -> Path:
-        """Return OUT/name; with --resume refuse one of another cell.
-
-        Raises
-        ------
-        InputError
-        """
-        from gateway.data.recording.reader import read
-        from gateway.data.recording.writer import refuse_other_cell
-
-        self.out.mkdir(parents=True, exist_ok=True)
-        path = self.out / name
-        refuse_unwritable(path, "--out")
-        if self.resume and path.exists():
-            refuse_other_cell(read(path), loaded.text)
-        return path
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / name
+    refuse_unwritable(path, "--out")
+    if resume and path.exists():
+        refuse_other_cell(read(path), loaded.text)
+    return path
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +256,9 @@ class Terminal:
         self, opened: OpenArm, search: LoadSearch, earlier: Recording | None, path: Path, options: MoveOptions
     ) -> NextStep:
         """Record pose by pose with a progress bar; return the last decision."""
-        return PoseByPose(search, path, earlier).run(self.session, opened, options)[1]
+        from gateway.commands.progress import recording_until
+
+        return recording_until(self.session, opened, search, path, earlier, options)[1]
 
     def say(self, text: str) -> None:
         """Print a note."""

@@ -16,6 +16,7 @@ from gateway.commands.shared_options import (
     common,
     data_argument,
     json_option,
+    known_loads,
     model_options,
     note_remarks,
     operator_option,
@@ -43,11 +44,9 @@ def model_request(
     """Return the options of MODEL as one value."""
     from gateway.identify.nuisance import parse_torque_gain
     from gateway.pipeline.inputs import ModelRequest
-    from gateway.pipeline.known import parse_known
 
     gain_std = None if torque_gain is None else parse_torque_gain(torque_gain)
-    loads = dict(parse_known(text) for text in known)
-    return ModelRequest(robot, cell_file, inertials, loads, bare, arm_name, gain_std, tip, is_warm)
+    return ModelRequest(robot, cell_file, inertials, known_loads(known), bare, arm_name, gain_std, tip, is_warm)
 
 
 def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +11,16 @@ import click
 
 from gateway.commands.console import axis_names, axis_table, grid
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
-from gateway.commands.plan_moving import MovingChoice, moving_plan_options, plan_moving
+from gateway.commands.plan_moving import moving_plan_options, show_assumed, show_moving_plan
 from gateway.commands.shared_options import (
+    KNOWN_FORM,
+    KNOWN_HELP,
     bus_option,
     cell_argument,
     common,
     joint_angles,
     json_option,
+    known_loads,
     load_option,
     note_remarks,
     output_option,
@@ -27,14 +31,17 @@ from gateway.commands.shared_options import (
     unit_option,
     write_json,
 )
-from gateway.commands.until import PoseByPose, UntilChoice, as_json, pose_by_pose, reference_options
+from gateway.commands.until import as_json, search_for, show_search, until_option
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
+    from gateway.acquire.until import LoadSearch
+    from gateway.acquire.until_goal import Goal
     from gateway.cell.config import ArmConfig, LoadedCell
     from gateway.data.recording.recorded import Recording
     from gateway.excite.expected import Purpose
+    from gateway.pipeline.known import KnownLoad
 
 arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm to use, if the cell has several.")
 
@@ -61,34 +68,43 @@ def plan(
     json_out: str | None,
 ) -> None:
     """Choose rest poses or excitation trajectories; show limits, duration and expected uncertainty. Needs no bus."""
-    choice = MovingChoice(moving, purposes, period_s, periods)
-    choice.refuse_without_moving()
-    if moving and n_poses is not None:
-        raise click.UsageError("--poses is for rest poses, --moving for trajectories: give one of them")
-    if moving:
-        plan_moving(cell, choice, seed, arm_name, (view, json_out))
-        return
     from gateway.acquire.planning import make_plan
     from gateway.cell.config import load_cell
     from gateway.commands.pages import write_page
-    from gateway.commands.plan_view import space_in_words, view_of_plan
+    from gateway.commands.plan_view import space_in_words, view_of_moving_plan, view_of_plan
+    from gateway.excite.plan_file import plan_as_plain
+    from gateway.excite.planning import MovingRequest, make_moving_plan
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.motion.workspace import workspace_of
 
-    loaded = load_cell(cell)
+    if not moving and (purposes or period_s is not None or periods is not None):
+        raise click.UsageError("--for, --period and --periods need --moving")
+    if moving and n_poses is not None:
+        raise click.UsageError("--poses is for rest poses, --moving for trajectories: give one of them")
+    loaded, session = load_cell(cell), session_of()
     config = arm_named(loaded, arm_name)
     robot = arm_robot(loaded, config)
     note_remarks(robot)
-    with session_of().working("reading the arm's geometry, choosing poses and paths"):
-        chosen = make_plan(loaded, n_poses, seed, arm_name)
-    show_plan(chosen)
+    if moving:
+        stated: dict[str, Any] = {"purpose": purposes or None, "period_s": period_s, "periods": periods, "seed": seed}
+        request = MovingRequest(**{name: value for name, value in stated.items() if value is not None})
+        with session.working("choosing motions"):
+            motions = make_moving_plan(loaded, arm_name, request)
+        show_moving_plan(motions)
+        page, body = partial(view_of_moving_plan, motions), plan_as_plain(motions)
+        drawn = "paths, boxes, positions and speeds"
+    else:
+        with session.working("reading the arm's geometry, choosing poses and paths"):
+            chosen = make_plan(loaded, n_poses, seed, arm_name)
+        show_plan(chosen)
+        page, body, drawn = partial(view_of_plan, chosen), plan_as_json(chosen), "poses, paths and keep-out boxes"
     workspace = workspace_of(config, robot)
-    session_of().show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
+    session.show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
     if view is not None:
-        write_page(view, view_of_plan(chosen, workspace))
-        session_of().show(f"{view}: poses, paths and keep-out boxes")
+        write_page(view, page(workspace))
+        session.show(f"{view}: {drawn}")
     if json_out:
-        write_json(json_out, plan_as_json(chosen))
+        write_json(json_out, body)
 
 
 def _poses(
@@ -117,11 +133,7 @@ def show_plan(chosen: Plan) -> None:
             f"expected standard deviation for a load of {expected.reference_load_kg:.3g} kg: "
             f"mass {expected.mass_std_kg:.3g} kg, centre of gravity {x:.2g} {y:.2g} {z:.2g} mm"
         )
-        session.show(axis_table(f"noise assumed [Nm], {expected.noise_source}", {"std": expected.noise_nm}))
-        percent = [100.0 * std for std in expected.gain_std]
-        session.show(
-            axis_table("uncertainty of torque constants assumed [%], std_percent of the cell", {"std": percent})
-        )
+        show_assumed(expected.noise_nm, expected.noise_source, expected.gain_std)
 
 
 def plan_as_json(chosen: Plan) -> dict[str, Any]:
@@ -175,7 +187,20 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     type=click.Path(path_type=Path, dir_okay=False),
     help="Measure the poses that a result of this arm proposes.",
 )
-@reference_options
+@until_option
+@click.option(
+    "--bare",
+    metavar="RESULT.json",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="With --until: stored result of the unloaded arm, if the recording has no unloaded visit.",
+)
+@click.option(
+    "--known",
+    multiple=True,
+    metavar=KNOWN_FORM,
+    callback=lambda _ctx, _param, texts: known_loads(texts),
+    help=f"With --until: a known load in the recording. {KNOWN_HELP}",
+)
 @click.option(
     "--moving", "in_motion", is_flag=True, help="Run excitation trajectories instead of measuring rest poses."
 )
@@ -212,7 +237,9 @@ def record(
     arm_name: str | None,
     bus_spec: str | None,
     json_out: str | None,
-    until: UntilChoice,
+    goal: Goal | None,
+    bare: Path | None,
+    known: dict[str, KnownLoad],
     moving: MoveChoice,
 ) -> None:
     """Measure rest poses or excitation trajectories under one load. The arm moves.
@@ -222,9 +249,9 @@ def record(
     The first time with these drives, the command first proves that they stop on loss of the master.
     """
     from gateway.acquire.plan import Plan
-    from gateway.acquire.session import MOVING_KEYS, RecordRequest
-    from gateway.commands.progress import recording_with_progress
-    from gateway.commands.record_moving import MovingWish, record_in_motion, refuse_mixed
+    from gateway.acquire.session import MOVING_KEYS, REST_KEYS, RecordRequest
+    from gateway.commands.progress import recording_until, recording_with_progress
+    from gateway.commands.record_moving import record_in_motion
     from gateway.data.recording.reader import read
     from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
     from gateway.jobs.cell_context import open_cell
@@ -232,46 +259,49 @@ def record(
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.result.values import plain_values
 
-    refuse_mixed(
-        in_motion,
-        [*poses[0], *poses[1], *(wish for wish in (result, until.goal) if wish is not None)],
-        moving_plan,
-        rate_hz,
-    )
-    context = open_cell(cell, bus_spec, reserve, moving.pacing)
-    arm = arm_named(context.loaded, arm_name)
-    if in_motion:
-        record_in_motion(context, arm, MovingWish(label, output, resume, moving_plan, rate_hz, trace, json_out), moving)
-        return
-    resume = resume or bool(poses[1])
-    if until.goal is not None and (any(poses) or result is not None):
+    chosen_poses = any(poses) or result is not None
+    if goal is None and (bare is not None or known):
+        raise click.UsageError("--bare and --known are references for --until: give --until as well")
+    if in_motion and (chosen_poses or goal is not None):
+        raise click.UsageError(
+            "--moving runs trajectories; --pose, --next and --until are for rest poses: give one of them"
+        )
+    if chosen_poses and goal is not None:
         raise click.UsageError("--until chooses the poses itself: omit --pose and --next")
+    if not in_motion and (moving_plan is not None or rate_hz is not None):
+        raise click.UsageError("--plan and --rate need --moving")
+    context, session = open_cell(cell, bus_spec, reserve, moving.pacing), session_of()
+    arm = arm_named(context.loaded, arm_name)
+    resume = resume or bool(poses[1])
     if output.exists() and not resume:
         raise InputError(f"{output} exists; {NOT_REPLACED}")
     earlier = read(output) if output.exists() else None
     refuse_other_cell(earlier, context.loaded.text)
-    source: Plan | PoseByPose = (
-        _plan_for(context.loaded, arm, output, earlier, *poses, result)
-        if until.goal is None
-        else pose_by_pose(context, arm, label, output, until)
-    )
-    session = session_of()
-    note_remarks(arm_robot(context.loaded, arm))
-    if not moving.yes:
-        show_plan(source) if isinstance(source, Plan) else source.show(session)
-    with stoppable(moving) as options, context.opened(arm, trace=trace) as opened:
-        options = begin_motion(context, (opened,), options, moving.ask, session.note, also=flange_question(label))
-        if isinstance(source, Plan):
-            request = RecordRequest(label, output, resume, bool(poses[1]))
-            summary, decision = recording_with_progress(session, opened, source, request, options), None
+    request, more = RecordRequest(label, output, resume, bool(poses[1])), dict[str, Any]()
+    if in_motion:
+        summary = record_in_motion(context, arm, request, earlier, moving, moving_plan, rate_hz, trace)
+    else:
+        note_remarks(arm_robot(context.loaded, arm))
+        source: Plan | LoadSearch
+        if goal is None:
+            source = _plan_for(context.loaded, arm, output, earlier, *poses, result)
         else:
-            summary, decision = source.run(session, opened, options)
-    more = {} if decision is None else {"until": as_json(summary.reason, decision)}
+            source, earlier = search_for(context, arm, label, output, goal, bare, known)
+        if not moving.yes:
+            show_plan(source) if isinstance(source, Plan) else show_search(source)
+        with stoppable(moving) as options, context.opened(arm, trace=trace) as opened:
+            options = begin_motion(context, (opened,), options, moving.ask, session.note, also=flange_question(label))
+            if isinstance(source, Plan):
+                summary = recording_with_progress(session, opened, source, request, options)
+            else:
+                summary, decision = recording_until(session, opened, source, output, earlier, options)
+                more = {"until": as_json(summary.reason, decision)}
+        session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} already recorded")
+        session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
     if json_out:
         body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more}
-        write_json(json_out, {key: body[key] for key in body if key not in MOVING_KEYS})
-    session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} already recorded")
-    session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
+        left_out = REST_KEYS if in_motion else MOVING_KEYS
+        write_json(json_out, {key: body[key] for key in body if key not in left_out})
 
 
 def _plan_for(

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from gateway.commands.console import axis_names, axis_table, grid
-from gateway.commands.pages import write_page
-from gateway.commands.shared_options import Function, note_remarks, session_of, write_json
+from gateway.commands.shared_options import Function, session_of
 
 if TYPE_CHECKING:
     from gateway.excite.excitation import Excitation, MovingPlan
@@ -25,30 +22,6 @@ _PER_AXIS = (
     ("rotor", "rotor_inertia_std_kg_m2", "rotor inertia [kg m2]"),
 )
 _INERTIA = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-
-
-@dataclass(frozen=True, slots=True)
-class MovingChoice:
-    """The options of `plan` for excitation trajectories.
-
-    Attributes
-    ----------
-    moving : bool
-    purposes : tuple of Purpose
-        Empty = the load.
-    period_s : float or None
-    periods : int or None
-    """
-
-    moving: bool
-    purposes: tuple[Purpose, ...]
-    period_s: float | None
-    periods: int | None
-
-    def refuse_without_moving(self) -> None:
-        """Refuse options for trajectories without --moving."""
-        if not self.moving and (self.purposes or self.period_s is not None or self.periods is not None):
-            raise click.UsageError("--for, --period and --periods need --moving")
 
 
 def _purposes(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[Purpose, ...]:
@@ -89,41 +62,6 @@ def moving_plan_options(function: Function) -> Function:
     return function
 
 
-def plan_moving(
-    cell: Path, choice: MovingChoice, seed: int | None, arm_name: str | None, outputs: tuple[Path | None, str | None]
-) -> None:
-    """Choose trajectories, print their use of the limits and the expected uncertainty; `outputs` are page and JSON."""
-    from gateway.cell.config import load_cell
-    from gateway.commands.plan_view import space_in_words, view_of_moving_plan
-    from gateway.excite.plan_file import plan_as_plain
-    from gateway.excite.planning import MovingRequest, make_moving_plan
-    from gateway.model.arm_model import arm_named, arm_robot
-    from gateway.motion.workspace import workspace_of
-
-    loaded = load_cell(cell)
-    usual, session = MovingRequest(), session_of()
-    request = MovingRequest(
-        purpose=choice.purposes or usual.purpose,
-        period_s=usual.period_s if choice.period_s is None else choice.period_s,
-        periods=usual.periods if choice.periods is None else choice.periods,
-        seed=usual.seed if seed is None else seed,
-    )
-    config = arm_named(loaded, arm_name)
-    robot = arm_robot(loaded, config)
-    note_remarks(robot)
-    with session.working("choosing motions"):
-        plan = make_moving_plan(loaded, arm_name, request)
-    show_moving_plan(plan)
-    view, json_out = outputs
-    workspace = workspace_of(config, robot)
-    session.show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
-    if view is not None:
-        write_page(view, view_of_moving_plan(plan, workspace))
-        session.show(f"{view}: paths, boxes, positions and speeds")
-    if json_out:
-        write_json(json_out, plan_as_plain(plan))
-
-
 def show_moving_plan(plan: MovingPlan) -> None:
     """Print trajectories, their use of the limits, and the expected uncertainty."""
     session = session_of()
@@ -150,7 +88,11 @@ def show_moving_plan(plan: MovingPlan) -> None:
             f"ratio of expected standard deviations, series over the best of 100 random ones: "
             f"{expected['over_random']:.2f}"
         )
-    _show_noise(expected)
+    show_assumed(expected["noise_nm"], expected["noise_source"], expected["gain_std"])
+    session.show(
+        f"noise assumed autocorrelated over {expected['correlation_s']:g} s: one reading counts in "
+        f"{2 * expected['correlation_s']:g} s"
+    )
 
 
 def _row(excitation: Excitation) -> list[str]:
@@ -186,14 +128,10 @@ def _show_load(about_load: Mapping[str, Any]) -> None:
     session.show(grid(f"inertia [kg m2], {about['inertia_source']}", ["", *_INERTIA], rows))
 
 
-def _show_noise(expected: Mapping[str, Any]) -> None:
-    session = session_of()
-    session.show(axis_table(f"noise assumed [Nm], {expected['noise_source']}", {"std": expected["noise_nm"]}))
-    session.show(
-        f"assumed autocorrelated over {expected['correlation_s']:g} s: one reading counts in "
-        f"{2 * expected['correlation_s']:g} s"
-    )
-    percent = [100.0 * std for std in expected["gain_std"]]
+def show_assumed(noise_nm: Sequence[float], noise_source: str, gain_std: Sequence[float]) -> None:
+    """Print the noise [Nm] and the relative standard deviation of the torque constants that a plan assumes."""
+    session, percent = session_of(), [100.0 * std for std in gain_std]
+    session.show(axis_table(f"noise assumed [Nm], {noise_source}", {"std": noise_nm}))
     session.show(axis_table("uncertainty of torque constants assumed [%], std_percent of the cell", {"std": percent}))
 
 

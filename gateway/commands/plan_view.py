@@ -33,7 +33,9 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
     """Return an HTML page with poses, paths and boxes."""
     from gateway.model.kinematics import flange_frames
     from gateway.motion.joint_path import path_positions, postures_at
-    from gateway.report.plan import plan_page
+    from gateway.report.page import Head
+    from gateway.report.plan import PATH, scene_page
+    from gateway.report.space import pose_figures
     from gateway.result.drawn import DrawnPose
 
     points = _points(workspace, [pose.q_rad for pose in plan.poses])
@@ -47,16 +49,25 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
         for row, pose in enumerate(plan.poses)
     ]
     path = flange_frames(workspace.robot, postures_at(plan.corners_rad, path_positions(plan.corners_rad)))[:, :3, 3]
-    return plan_page(plan.arm, poses, path.tolist(), workspace.space.boxes_m.tolist(), space_in_words(workspace))
+    return scene_page(
+        Head(f"Plan: {plan.arm}", "Plan of the rest poses", (("arm", plan.arm), ("poses", str(len(poses))))),
+        PATH,
+        [("", path.tolist())],
+        workspace.space.boxes_m.tolist(),
+        space_in_words(workspace),
+        arm=(f"arm at pose {poses[0].pose}", poses[0].points_m),
+        figures=pose_figures(poses, {}),
+    )
 
 
 def view_of_moving_plan(plan: MovingPlan, workspace: Workspace) -> str:
     """Return an HTML page with the paths of trajectories, and position and speed of each joint over one period."""
     from gateway.excite.limits import PLANNED, states_of
     from gateway.model.kinematics import flange_frames
-    from gateway.report.plan import JointCurves, moving_page
+    from gateway.report.page import Head
+    from gateway.report.plan import MOTIONS, curve_figures, scene_page
 
-    curves: list[JointCurves] = []
+    figures = []
     paths: list[tuple[str, list[list[float]]]] = []
     for excitation in plan.excitations:
         states = states_of(excitation, max(excitation.period_s / CURVE_POINTS, CURVE_STEP_S))
@@ -64,21 +75,31 @@ def view_of_moving_plan(plan: MovingPlan, workspace: Workspace) -> str:
         paths.append((excitation.name, path.tolist()))
         share = 100.0 * states.qd_rad_s / (PLANNED.speed * workspace.speed_rad_s)
         time_s = np.linspace(0.0, excitation.period_s, len(share) + 1)[1:]
-        curves.append(JointCurves(excitation.name, time_s.tolist(), states.q_rad.T.tolist(), share.T.tolist()))
-    boxes = workspace.space.boxes_m.tolist()
-    arm = _points(workspace, [plan.excitations[0].start_rad.tolist()])[0].tolist()
-    return moving_page(plan.arm, paths, curves, boxes, space_in_words(workspace), arm)
+        figures += curve_figures(excitation.name, time_s.tolist(), states.q_rad.T.tolist(), share.T.tolist())
+    return scene_page(
+        Head(f"Plan: {plan.arm}", "Plan of the trajectories", (("arm", plan.arm), ("motions", str(len(paths))))),
+        MOTIONS,
+        paths,
+        workspace.space.boxes_m.tolist(),
+        space_in_words(workspace),
+        arm=("arm at its start", _points(workspace, [plan.excitations[0].start_rad.tolist()])[0].tolist()),
+        over="Over one period",
+        figures=figures,
+    )
 
 
 def view_of_cell(config: ArmConfig, workspace: Workspace) -> str:
     """Return an HTML page with the arm at the named postures of the cell and with all joints at zero."""
-    from gateway.report.plan import cell_page
+    from gateway.report.page import Head
+    from gateway.report.plan import ARM, scene_page
 
     named = {"all joints at 0": (0.0,) * workspace.robot.axes, "home": config.home_rad, "loading": config.loading_rad}
     known = {name: q_rad for name, q_rad in named.items() if q_rad is not None}
     points = _points(workspace, list(known.values())).tolist()
     postures = [(name, [(0.0, 0.0, 0.0), *at]) for name, at in zip(known, points, strict=True)]
-    return cell_page(config.name, postures, workspace.space.boxes_m.tolist(), space_in_words(workspace))
+    head = Head(f"Cell: {config.name}", "The arm and its surroundings", (("arm", config.name),))
+    boxes_m = workspace.space.boxes_m.tolist()
+    return scene_page(head, ARM, postures, boxes_m, space_in_words(workspace), heading="Postures")
 
 
 def _points(workspace: Workspace, postures: Sequence[Sequence[float]]) -> np.ndarray:

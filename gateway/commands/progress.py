@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from gateway.acquire.events import (
     Event,
     Narrowed,
@@ -15,7 +17,9 @@ from gateway.acquire.events import (
 )
 from gateway.acquire.plan import Plan
 from gateway.acquire.session import RecordingSummary, RecordRequest, record
+from gateway.acquire.until import LoadSearch, NextStep, record_until
 from gateway.commands.console import Bar, Session
+from gateway.data.recording.recorded import Recording
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 
@@ -85,3 +89,24 @@ def recording_with_progress(
     """
     with session.progress(plan.duration_s / options.override, f"load {request.load}") as bar:
         return record(opened, plan, request, (ProgressListener(session, bar),), options)
+
+
+def recording_until(
+    session: Session,
+    opened: OpenArm,
+    search: LoadSearch,
+    path: Path,
+    earlier: Recording | None,
+    options: MoveOptions,
+) -> tuple[RecordingSummary, NextStep]:
+    """Measure pose by pose until a load is known and show the progress; return as `record_until`.
+
+    Raises
+    ------
+    InputError, PlanRefused, DriveError, KeyboardInterrupt
+        As `record_until`.
+    """
+    with session.progress(1.0, f"load {search.label}") as bar:
+        done = record_until(opened, search, path, earlier, (ProgressListener(session, bar),), options)
+    session.show(done[0].reason)
+    return done

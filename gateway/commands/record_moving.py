@@ -2,56 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from gateway.commands.console import grid
 from gateway.commands.motion_options import MoveChoice, stoppable
-from gateway.commands.shared_options import session_of, write_json
+from gateway.commands.shared_options import session_of
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from gateway.acquire.passes import Pass
+    from gateway.acquire.session import RecordingSummary, RecordRequest
     from gateway.cell.config import ArmConfig, LoadedCell
     from gateway.data.recording.recorded import Recording
     from gateway.excite.excitation import MovingPlan
     from gateway.jobs.cell_context import CellContext
 
 
-@dataclass(frozen=True, slots=True)
-class MovingWish:
-    """Options of the command line.
+def record_in_motion(
+    context: CellContext,
+    arm: ArmConfig,
+    request: RecordRequest,
+    earlier: Recording | None,
+    moving: MoveChoice,
+    plan: Path | None,
+    rate_hz: float | None,
+    trace: Path | None,
+) -> RecordingSummary:
+    """Ask for permission, run the excitation trajectories under one load, and report the result.
 
-    Attributes
+    Parameters
     ----------
-    label : str
-        Label of the mounted load.
-    output : Path
-    resume : bool
+    context : CellContext
+    arm : ArmConfig
+    request : RecordRequest
+    earlier : Recording or None
+        Existing content of the recording.
+    moving : MoveChoice
     plan : Path or None
         File written by `plan --moving --json`.
     rate_hz : float or None
         SYNCs per second.
     trace : Path or None
-    json_out : str or None
-    """
-
-    label: str
-    output: Path
-    resume: bool
-    plan: Path | None
-    rate_hz: float | None
-    trace: Path | None
-    json_out: str | None
-
-
-def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, moving: MoveChoice) -> None:
-    """Ask for permission, run the excitation trajectories under one load, and report the result.
+        File of the frame log.
 
     Raises
     ------
@@ -59,40 +54,27 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
         As `record_moving`.
     """
     from gateway.acquire.passes import passes_of
-    from gateway.acquire.session import REST_KEYS, RecordRequest, record_moving
+    from gateway.acquire.session import record_moving
     from gateway.commands.progress import ProgressListener
-    from gateway.data.recording.reader import read
-    from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
     from gateway.jobs.frame import begin_motion, flange_question
-    from gateway.result.values import plain_values
 
-    if wish.output.exists() and not wish.resume:
-        raise InputError(f"{wish.output} exists; {NOT_REPLACED}")
-    earlier = read(wish.output) if wish.output.exists() else None
-    context = context.for_motion(arm, wish.rate_hz)
-    refuse_other_cell(earlier, context.loaded.text)
-    chosen = _plan_for(context.loaded, arm, wish.plan, earlier)
+    session, label = session_of(), request.load
+    context = context.for_motion(arm, rate_hz)
+    chosen = _plan_for(context.loaded, arm, plan, earlier)
     stored = None if earlier is None else earlier.arm(arm.name)
-    driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(wish.label)
+    driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(label)
     period_s = context.loaded.cell.bus[arm.bus].sync_period_s
-    passes = passes_of(chosen, wish.label, driven, moving.override / 100.0, period_s)
-    session = session_of()
+    passes = passes_of(chosen, label, driven, moving.override / 100.0, period_s)
     _show(arm.name, passes, period_s)
-    also, what = flange_question(wish.label), "will move fast"
-    with stoppable(moving) as options, context.opened(arm, trace=wish.trace) as opened:
+    also, what = flange_question(label), "will move fast"
+    with stoppable(moving) as options, context.opened(arm, trace=trace) as opened:
         options = begin_motion(context, (opened,), options, moving.ask, session.note, what=what, also=also)
-        duration_s = sum(one.duration_s for one in passes)
-        request = RecordRequest(wish.label, wish.output, wish.resume)
-        with session.progress(duration_s, f"load {wish.label}") as bar:
+        with session.progress(sum(one.duration_s for one in passes), f"load {label}") as bar:
             summary = record_moving(opened, chosen, request, (ProgressListener(session, bar),), options)
-    if wish.json_out:
-        body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(wish.output)}
-        write_json(wish.json_out, {key: body[key] for key in body if key not in REST_KEYS})
-    session.show(
-        f"{wish.output}: {summary.periods} periods under load {wish.label}, {summary.skipped} already recorded"
-    )
+    session.show(f"{request.path}: {summary.periods} periods under load {label}, {summary.skipped} already recorded")
     for name, period in summary.missed:
         session.show(f"'{name}', period {period}: SYNCs not answered in two attempts; repeat it with --resume")
+    return summary
 
 
 def _show(arm: str, passes: Sequence[Pass], period_s: float) -> None:
@@ -133,18 +115,3 @@ def _plan_for(loaded: LoadedCell, arm: ArmConfig, path: Path | None, earlier: Re
     where = f"{earlier.path if earlier else ''}: excitation"
     held = tuple(excitation_of(stored.excitations[number], f"{where} {number}") for number in order)
     return MovingPlan(arm.name, held, {})
-
-
-def refuse_mixed(moves: bool, poses: Sequence[object], plan: Path | None, rate_hz: float | None) -> None:
-    """Refuse options of rest recordings with --moving and vice versa.
-
-    Raises
-    ------
-    click.UsageError
-    """
-    if moves and poses:
-        raise click.UsageError(
-            "--moving runs trajectories; --pose, --next and --until are for rest poses: give one of them"
-        )
-    if not moves and (plan is not None or rate_hz is not None):
-        raise click.UsageError("--plan and --rate need --moving")

@@ -62,12 +62,12 @@ def judge_repeated(results: Sequence[Result], files: Sequence[str], json_out: st
     ------
     InputError, FindingFailed
     """
-    from gateway.report.repeatability_page import COLUMNS, cells, render_repeatability
+    from gateway.report.comparison_page import REPEATED, render_repeatability, repeated_cells
     from gateway.result.repeatability import TOO_SMALL, conclusion, repeatability
 
     found = repeatability(results, files)
     title = f"{found.robot}: {len(files)} repetitions, standard deviations"
-    table = grid(title, COLUMNS, [cells(row) for row in found.quantities], left=2)
+    table = grid(title, REPEATED, [repeated_cells(row) for row in found.quantities], left=2)
     show_comparison(found, table, conclusion(found), json_out)
     show_page(output, lambda: render_repeatability(found))
     if found.verdict == TOO_SMALL:

@@ -148,15 +148,15 @@ def _certificate(path: Path, label: str | None, output: Path | None) -> None:
 
 def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], output: Path | None) -> None:
     """Export a recording, or the part of one arm and load, in an open format."""
-    from gateway.formats.registry import exported
+    from gateway.formats.registry import FRAMES, exported
 
     if output is None:
         raise click.UsageError(f"--format {fmt} is a binary format: give a file with -o")
-    done = exported(path, fmt, *part)
-    replace_file(output, done.content)
-    if not done.count:
+    content, count = exported(path, fmt, *part)
+    replace_file(output, content)
+    if not count:
         session_of().note(f"{path}: contains no sample yet; {output} contains only the metadata of the run")
-    session_of().show(f"{fmt}: {output}, {done.count} {done.what}")
+    session_of().show(f"{fmt}: {output}, {count} {'frames' if fmt == FRAMES else 'samples'}")
 
 
 @click.command("import")
@@ -194,11 +194,11 @@ def import_(
         return
     if output is None:
         raise click.UsageError("give the table to write with -o, or inspect the log first with --dry-run")
-    done = table_from_log(log, log_map)
-    replace_file(output, done.text)
-    for remark in done.remarks:
+    text, rows, remarks = table_from_log(log, log_map)
+    replace_file(output, text)
+    for remark in remarks:
         session_of().note(f"{log}: {remark}")
-    session_of().show(f"{output}: {done.rows} rows")
+    session_of().show(f"{output}: {rows} rows")
 
 
 def _preview(log: Path, log_map: LogMap) -> None:

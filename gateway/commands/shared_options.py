@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from drives.datasheet.sheet import Remark
     from gateway.cell.config import ArmConfig
     from gateway.model.robot import Robot
+    from gateway.pipeline.known import KnownLoad
     from gateway.result.acceptance import Expected
 
 #: Number of axes that path files, the torque along a path and their reports support.
@@ -284,6 +285,24 @@ def model_options(function: Function) -> Function:
     ):
         function = option(function)
     return function
+
+
+def known_loads(texts: Sequence[str]) -> dict[str, KnownLoad]:
+    """Return the loads of --known by label.
+
+    Raises
+    ------
+    click.UsageError
+        A load is given twice.
+    """
+    from gateway.pipeline.known import parse_known
+
+    known: dict[str, KnownLoad] = {}
+    for label, load in map(parse_known, texts):
+        if label in known:
+            raise click.UsageError(f"--known {label} is given twice: give each load once")
+        known[label] = load
+    return known
 
 
 data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False))

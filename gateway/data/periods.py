@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.data.rows import Table
+from gateway.data.rows import Table, numbered
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -32,13 +32,10 @@ def repeats(table: Table) -> Mask:
 
 def excitation_runs(table: Table) -> Ints:
     """Return the number (n,) of the excitation and load of each sample, within one file; -1 without excitation."""
-    rows = np.flatnonzero(repeats(table))
-    out = np.full(len(table), -1)
-    if not len(rows):
-        return out
-    keys = [(table.file[row], str(table.load[row]), float(table.extra[EXCITATION][row])) for row in rows]
-    number = {key: place for place, key in enumerate(dict.fromkeys(keys))}
-    out[rows] = [number[key] for key in keys]
+    out, rows = np.full(len(table), -1), np.flatnonzero(repeats(table))
+    if len(rows):
+        sampled = table.take(rows)
+        out[rows] = numbered(sampled.file, sampled.load, sampled.extra[EXCITATION])[1]
     return out
 
 
@@ -49,9 +46,7 @@ def uninterrupted(table: Table) -> Ints:
     """
     none = np.full(len(table), np.nan)
     marks = (np.nan_to_num(table.extra.get(name, none), nan=-1.0) for name in (EXCITATION, PERIOD))
-    keys = list(zip(table.file, *(column.tolist() for column in (table.run, table.load, *marks)), strict=True))
-    number = {key: place for place, key in enumerate(dict.fromkeys(keys))}
-    return np.array([number[key] for key in keys], dtype=int)
+    return numbered(table.file, table.run, table.load, *marks)[1]
 
 
 def noise_between_periods(table: Table, turns: Mask) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -110,6 +110,13 @@ class Table:
     def where(self, row: int) -> str:
         """Return `file:line` of a sample, for messages."""
         return f"{self.file[row]}:{self.line[row]}"
+
+
+def numbered(*columns: Iterable[Any]) -> tuple[tuple[tuple[Any, ...], ...], np.ndarray]:
+    """Return the distinct rows of columns (n,) in their order, and the number (n,) of each row among them."""
+    keys = list(zip(*(np.asarray(column).tolist() for column in columns), strict=True))
+    number = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    return tuple(number), np.array([number[key] for key in keys], dtype=int)
 
 
 def concatenate(tables: Sequence[Table]) -> Table:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -42,17 +41,8 @@ _NOTED_SHARE: Final = 1e-3
 _RATES: Final = ("qd{}_rad_s", "qdd{}_rad_s2")
 
 
-@dataclass(frozen=True, slots=True)
-class Imported:
-    """Text of an imported table, number of rows, and remarks."""
-
-    text: str
-    rows: int
-    remarks: tuple[str, ...] = ()
-
-
-def table_from_log(path: Path, stated: LogMap) -> Imported:
-    """Convert a log to a measured table, with a map.
+def table_from_log(path: Path, stated: LogMap) -> tuple[str, int, tuple[str, ...]]:
+    """Convert a log to a measured table, with a map; return its text, its number of rows, and remarks.
 
     Parameters
     ----------
@@ -295,9 +285,9 @@ def _complete(name: str, values: Floats) -> list[object]:
     return [int(value) if complete and value == int(value) else value for value in values.tolist()]
 
 
-def _imported(columns: dict[str, list[object]], remarks: tuple[str, ...] = ()) -> Imported:
+def _imported(columns: dict[str, list[object]], remarks: tuple[str, ...] = ()) -> tuple[str, int, tuple[str, ...]]:
     stream = io.StringIO(newline="")
     writer = csv.writer(stream)
     writer.writerow(columns)
     writer.writerows(zip(*map(text_cells, columns.values()), strict=True))
-    return Imported(stream.getvalue(), len(next(iter(columns.values()))), remarks)
+    return stream.getvalue(), len(next(iter(columns.values()))), remarks

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -20,17 +19,8 @@ FORMATS: Final[Mapping[str, Callable[[Samples], bytes]]] = {"mcap": to_mcap, "pa
 FRAMES: Final = "blf"
 
 
-@dataclass(frozen=True, slots=True)
-class ExportFile:
-    """Content of an exported file, and the number of exported items."""
-
-    content: bytes
-    count: int
-    what: str
-
-
-def exported(path: Path, fmt: str, arm_name: str | None, label: str | None) -> ExportFile:
-    """Export a recording in an open format.
+def exported(path: Path, fmt: str, arm_name: str | None, label: str | None) -> tuple[bytes, int]:
+    """Return the content of a file in an open format, and the number of its samples or frames.
 
     Parameters
     ----------
@@ -51,6 +41,6 @@ def exported(path: Path, fmt: str, arm_name: str | None, label: str | None) -> E
     if fmt == FRAMES:
         if arm_name or label:
             raise InputError(f"{path}: frames are of the complete run: omit --arm and --load with --format {FRAMES}")
-        return ExportFile(*blf_of(path), "frames")
+        return blf_of(path)
     samples = read_samples(path, arm_name, label)
-    return ExportFile(FORMATS[fmt](samples), len(samples), "samples")
+    return FORMATS[fmt](samples), len(samples)

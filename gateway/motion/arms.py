@@ -157,15 +157,11 @@ class Arms:
         DriveError
             A drive or a bus failed; all arms have been stopped, or are being stopped by the motion loop.
         """
-        if self.real and len(self.members) > 1:
-            return self._together(commands)
-        return self._cycle(lambda index: self.members[index].exchange(commands[index]))
+        return self._cycle(commands)
 
     def hold(self) -> tuple[ArmSample, ...]:
         """Exchange one cycle with the last targets; raises as `exchange`."""
-        if self.real and len(self.members) > 1:
-            return self._together([None] * len(self.members))
-        return self._cycle(lambda index: self.members[index].hold())
+        return self._cycle([None] * len(self.members))
 
     def quick_stop(self) -> None:
         """Stop all arms at the same time with the quick stop ramps of their drives.
@@ -197,38 +193,29 @@ class Arms:
 
     # -- inside ------------------------------------------------------------------------------------------------------
 
-    def _cycle(self, action: Callable[[int], ArmSample]) -> tuple[ArmSample, ...]:
-        try:
-            return tuple(action(index) for index in range(len(self.members)))
-        except BaseException:
-            self._wait_stopped()
-            raise
+    def _cycle(self, commands: Sequence[Sequence[DriveCommand] | None]) -> tuple[ArmSample, ...]:
+        """Exchange one cycle; None = the last targets of an arm.
 
-    def _together(self, commands: Sequence[Sequence[DriveCommand] | None]) -> tuple[ArmSample, ...]:
-        """Real time: execute each part of the SYNC for all arms before the next part."""
-        drives = [arm.drives for arm in self.members]
+        Real time: each part of the SYNC is executed for all arms before the next part.
+        """
+        pairs = list(zip(self.members, commands, strict=True))
         try:
-            for each, targets in zip(drives, commands, strict=True):
-                each.begin(targets)
-            at_s = drives[0].prepare(None)
-            for each in drives[1:]:
+            if not self.real or len(pairs) == 1:
+                return tuple(arm.hold() if targets is None else arm.exchange(targets) for arm, targets in pairs)
+            for arm, targets in pairs:
+                arm.drives.begin(targets)
+            first, *others = [arm.drives for arm in self.members]
+            at_s = first.prepare(None)
+            for each in others:
                 each.prepare(at_s)
-            for each in drives:
-                each.sync()
-            epochs = [each.gather() for each in drives]
+            for arm in self.members:
+                arm.drives.sync()
+            epochs = [arm.drives.gather() for arm in self.members]
+            self.skew_s.append(others[-1].sync_sent_s - first.sync_sent_s)
+            checks = zip(self.members, epochs, strict=True)
+            return _each([lambda arm=arm, epoch=epoch: arm.checked(epoch) for arm, epoch in checks])
         except BaseException:
             self._abandon()
-            self._wait_stopped()
-            raise
-        self.skew_s.append(drives[-1].sync_sent_s - drives[0].sync_sent_s)
-        try:
-            return _each(
-                [
-                    lambda arm=arm, epoch=epoch: arm.checked(epoch)
-                    for arm, epoch in zip(self.members, epochs, strict=True)
-                ]
-            )
-        except BaseException:
             self._wait_stopped()
             raise
 

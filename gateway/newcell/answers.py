@@ -210,7 +210,7 @@ class CellAnswers:
         if isinstance(value, dict) and set(cast("dict[str, Any]", value)) == {VALUE, SOURCE}:
             value, source = value[VALUE], str(cast("dict[str, Any]", value)[SOURCE])
         try:
-            answer = question.form.read(value, axes)
+            answer = question.form(value, axes)
         except ValueError as error:
             where = f"{stated.where}: " if stated.where else ""
             raise ValueError(f"{where}{question.key} {error}: {question.asks}") from error

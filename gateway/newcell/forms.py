@@ -16,17 +16,14 @@ from gateway.formats.units import factors
 VALUE, SOURCE = "value", "source"
 
 
-@dataclass(frozen=True, slots=True)
-class Form:
-    """Format of an answer.
+#: Format of an answer: (TOML value, number of axes; 0 = unknown) -> the answer; raises ValueError with a message.
+Form = Callable[[Any, int], Any]
 
-    Attributes
-    ----------
-    read : callable
-        (TOML value, number of axes; 0 = unknown) -> the answer; raises ValueError with a message.
-    """
 
-    read: Callable[[Any, int], Any]
+def typed_answer(line: str) -> Any:
+    """Return the answer of a typed line: its value, or with `; source` behind it the table of an answer file."""
+    value, _, source = line.partition(";")
+    return {VALUE: typed(value), SOURCE: source.strip()} if source.strip() else typed(value)
 
 
 def typed(line: str) -> Any:
@@ -52,78 +49,57 @@ _RATIO: Final = re.compile(r"(?P<sign>[-+]?)\s*(?P<first>\d+\.?\d*)\s*:\s*(?P<se
 _RANGE: Final = re.compile(r"(\d+)\s*-\s*(\d+)")
 
 
-def text() -> Form:
-    """Return the form of a word, a name or a path."""
-
-    def read(value: Any, axes: int) -> str:
-        del axes
-        if isinstance(value, list):  # INTERFACE:CHANNEL,key=value
-            value = ",".join(str(part) for part in cast("list[Any]", value))
-        if not isinstance(value, str) or not value.strip():
-            raise ValueError("is not text")
-        return value.strip()
-
-    return Form(read)
+def text(value: Any, _axes: int) -> str:
+    """Read a word, a name or a path."""
+    if isinstance(value, list):  # INTERFACE:CHANNEL,key=value
+        value = ",".join(str(part) for part in cast("list[Any]", value))
+    if not isinstance(value, str) or not value.strip():
+        raise ValueError("is not text")
+    return value.strip()
 
 
 def pattern(spelled: str, otherwise: str) -> Form:
     """Return the form of a text that matches a regular expression."""
 
-    def read(value: Any, axes: int) -> str:
-        del axes
+    def read(value: Any, _axes: int) -> str:
         if not isinstance(value, str) or re.fullmatch(spelled, value) is None:
             raise ValueError(f"is {value!r}, which is {otherwise}")
         return value
 
-    return Form(read)
+    return read
 
 
 def choice(*options: str) -> Form:
     """Return the form of an answer that is one of several words."""
 
-    def read(value: Any, axes: int) -> str:
-        del axes
+    def read(value: Any, _axes: int) -> str:
         if value not in options:
             raise ValueError(f"is not one of {', '.join(options)}")
         return str(value)
 
-    return Form(read)
+    return read
 
 
-def flag() -> Form:
-    """Return the form of true or false."""
-
-    def read(value: Any, axes: int) -> bool:
-        del axes
-        if not isinstance(value, bool):
-            raise ValueError("is neither true nor false")
-        return value
-
-    return Form(read)
+def flag(value: Any, _axes: int) -> bool:
+    """Read true or false."""
+    if not isinstance(value, bool):
+        raise ValueError("is neither true nor false")
+    return value
 
 
-def table() -> Form:
-    """A table of an answer file."""
-
-    def read(value: Any, axes: int) -> Mapping[str, Any]:
-        del axes
-        if not isinstance(value, dict):
-            raise ValueError("is not a table")
-        return cast("Mapping[str, Any]", value)
-
-    return Form(read)
+def table(value: Any, _axes: int) -> Mapping[str, Any]:
+    """Read a table of an answer file."""
+    if not isinstance(value, dict):
+        raise ValueError("is not a table")
+    return cast("Mapping[str, Any]", value)
 
 
-def words() -> Form:
-    """Return the form of one text for all axes, or one per axis."""
-
-    def read(value: Any, axes: int) -> tuple[str, ...]:
-        parts = _parts(value, axes)
-        if not parts or not all(isinstance(part, str) and part for part in parts):
-            raise ValueError("is neither a text nor a list of texts")
-        return tuple(parts)
-
-    return Form(read)
+def words(value: Any, axes: int) -> tuple[str, ...]:
+    """Read one text for all axes, or one per axis."""
+    parts = _parts(value, axes)
+    if not parts or not all(isinstance(part, str) and part for part in parts):
+        raise ValueError("is neither a text nor a list of texts")
+    return tuple(parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,38 +134,21 @@ SIGN: Final = FormRule(lambda value: value in (-1, 1), "neither 1 nor -1")
 NODE_ID: Final = FormRule(lambda value: value == round(value) and 1 <= value <= 127, "not a node id (1 to 127)")
 
 
-def numbers(rule: FormRule = ANY) -> Form:
-    """Return the form of a list with one number per axis."""
-
-    def read(value: Any, axes: int) -> tuple[float, ...]:
-        parts = cast("list[Any]", value) if isinstance(value, list) else [value]
-        if axes and len(parts) != axes:
-            raise ValueError(f"has {len(parts)} numbers but the arm has {axes} axes; give one per axis")
-        return tuple(_kept(part, rule) for part in parts)
-
-    return Form(read)
+def per_axis(rule: FormRule = ANY, *, for_all: bool = True) -> Form:
+    """Return the form of one number per axis, or (`for_all`) one for all axes."""
+    return lambda value, axes: tuple(_kept(part, rule) for part in _parts(value, axes, for_all=for_all))
 
 
-def node_ids() -> Form:
-    """Return the form of a list with the node id of each axis."""
-    plain = numbers(NODE_ID).read
-
-    def read(value: Any, axes: int) -> tuple[int, ...]:
-        parts: list[Any] = []
-        for part in cast("list[Any]", value) if isinstance(value, list) else [value]:
-            ends = _RANGE.fullmatch(part.strip()) if isinstance(part, str) else None
-            parts += [part] if ends is None else range(int(ends[1]), min(int(ends[2]), 127) + 1)
-        try:
-            return tuple(int(part) for part in plain(parts, axes))
-        except ValueError as error:
-            raise ValueError(f"{error}; example: 1-6, or 11, 12, 13, 14, 15, 16") from error
-
-    return Form(read)
-
-
-def per_axis(rule: FormRule = ANY) -> Form:
-    """Return the form of one number for all axes, or one per axis."""
-    return Form(lambda value, axes: tuple(_kept(part, rule) for part in _parts(value, axes)))
+def node_ids(value: Any, axes: int) -> tuple[int, ...]:
+    """Read the node id of each axis; `1-6` counts up."""
+    parts: list[Any] = []
+    for part in _listed(value):
+        ends = _RANGE.fullmatch(part.strip()) if isinstance(part, str) else None
+        parts += [part] if ends is None else range(int(ends[1]), min(int(ends[2]), 127) + 1)
+    try:
+        return tuple(int(_kept(part, NODE_ID)) for part in _parts(parts, axes, for_all=False))
+    except ValueError as error:
+        raise ValueError(f"{error}; example: 1-6, or 11, 12, 13, 14, 15, 16") from error
 
 
 def _kept(value: Any, rule: FormRule) -> float:
@@ -203,7 +162,7 @@ def pairs(rule: FormRule = ANY) -> Form:
     """Return the form of lower and upper limits for all axes, or per axis."""
 
     def read(value: Any, axes: int) -> tuple[tuple[float, float], ...]:
-        rows = cast("list[Any]", value) if isinstance(value, list) else []
+        rows = _listed(value)
         if len(rows) == 2 and not any(isinstance(row, list) for row in rows):
             rows = [rows] * max(axes, 1)
         if not rows or (axes and len(rows) != axes) or not all(isinstance(row, list) and len(row) == 2 for row in rows):
@@ -214,40 +173,48 @@ def pairs(rule: FormRule = ANY) -> Form:
                 raise ValueError(f"holds [{low:g}, {high:g}], whose first value is not below the second")
         return found
 
-    return Form(read)
+    return read
 
 
 def place(rule: FormRule = ANY, **named: tuple[float, ...]) -> Form:
     """Return the form of three numbers, or a name for them."""
 
-    def read(value: Any, axes: int) -> tuple[float, ...]:
-        del axes
+    def read(value: Any, _axes: int) -> tuple[float, ...]:
         if isinstance(value, str) and value in named:
             return named[value]
-        if not isinstance(value, list) or len(cast("list[Any]", value)) != 3:
+        parts = _listed(value)
+        if len(parts) != 3:
             raise ValueError(" or ".join(["is not a list of three numbers", *(f"no `{word}`" for word in named)]))
-        return tuple(_number(part, rule) for part in cast("list[Any]", value))
+        return tuple(_number(part, rule) for part in parts)
 
-    return Form(read)
+    return read
 
 
 def one_number(rule: FormRule = ANY) -> Form:
     """Return the form of a single number."""
-    return Form(lambda value, axes: _kept(value, rule))
+    return lambda value, axes: _kept(value, rule)
 
 
 def number_or_none(rule: FormRule = ANY) -> Form:
     """Return the form of a single number, or `none`."""
-    return Form(lambda value, axes: None if value == "none" else _kept(value, rule))
+    return lambda value, axes: None if value == "none" else _kept(value, rule)
 
 
-def _parts(value: Any, axes: int) -> list[Any]:
-    """Split an answer into one part per axis; a single value applies to all axes."""
-    parts = cast("list[Any]", value) if isinstance(value, list) else [value]
-    if len(parts) == 1:
+def _listed(value: Any) -> list[Any]:
+    """Return the parts of an answer; an answer file may hold several as one text, as they are typed."""
+    if isinstance(value, str) and "," in value:
+        value = typed(value)
+    return cast("list[Any]", value) if isinstance(value, list) else [value]
+
+
+def _parts(value: Any, axes: int, *, for_all: bool = True) -> list[Any]:
+    """Split an answer into one part per axis; with `for_all` a single value applies to all axes."""
+    parts = _listed(value)
+    if for_all and len(parts) == 1:
         parts = parts * max(axes, 1)
     if axes and len(parts) != axes:
-        raise ValueError(f"has {len(parts)} values but the arm has {axes} axes; give one for all or one per axis")
+        some = "one for all or " if for_all else ""
+        raise ValueError(f"has {len(parts)} values but the arm has {axes} axes; give {some}one per axis")
     return parts
 
 

@@ -24,7 +24,6 @@ from gateway.newcell.forms import (
     flag,
     node_ids,
     number_or_none,
-    numbers,
     one_number,
     pairs,
     pattern,
@@ -62,10 +61,10 @@ ROBOT: Final = CellQuestion(
     "robot",
     "URDF of the arm, or dh for Denavit-Hartenberg parameters",
     "in the manufacturer's ROS package (`xacro robot.urdf.xacro > robot.urdf`); DH parameters are in the manual",
-    text(),
+    text,
 )
 TIP: Final = CellQuestion(
-    "tip", "last link of the arm in the URDF", "needed if the file also contains fingers, jaws or a second arm", text()
+    "tip", "last link of the arm in the URDF", "needed if the file also contains fingers, jaws or a second arm", text
 )
 DH_CONVENTION: Final = CellQuestion(
     "dh_convention",
@@ -74,7 +73,9 @@ DH_CONVENTION: Final = CellQuestion(
     choice("modified", "standard"),
 )
 DH_ROWS: Final = tuple(
-    CellQuestion(f"dh_{column}", f"{what}, base to flange", "table of link parameters in the manual", numbers())
+    CellQuestion(
+        f"dh_{column}", f"{what}, base to flange", "table of link parameters in the manual", per_axis(for_all=False)
+    )
     for column, what in (
         ("alpha_rad", "twists alpha [rad]"),
         ("a_m", "lengths a [m]"),
@@ -86,19 +87,19 @@ BUS: Final = CellQuestion(
     "bus",
     "bus of the drives, INTERFACE:CHANNEL[,key=value], such as socketcan:can0 or pcan:PCAN_USBBUS1,bitrate=500000",
     "name of the adapter in python-can; use the bit rate of the drives",
-    text(),
+    text,
 )
 NODES: Final = CellQuestion(
     "nodes",
     "node ids from the base to the flange, such as 1-6 or 11, 12, 13, 14, 15, 16",
     "DIP switch or label of each drive; `check --move` detects a wrong order",
-    node_ids(),
+    node_ids,
 )
 PROFILE: Final = CellQuestion(
     "profile",
     "drive profile: a name of `profiles list` or a TOML file, one for all or one per axis",
     "`servo-gateway profiles list`; for another drive `servo-gateway profiles new --eds FILE -o FILE.toml`",
-    words(),
+    words,
 )
 GEAR_RATIO: Final = CellQuestion(
     "gear_ratio",
@@ -193,7 +194,7 @@ MAX_LOAD: Final = CellQuestion(
     "default: the rated load; without both, half of each torque limit is reserved for the load",
     number_or_none(POSITIVE.of(MASSES)),
 )
-NAME: Final = CellQuestion("name", "name of the cell", "", text())
+NAME: Final = CellQuestion("name", "name of the cell", "", text)
 SYNC_PERIOD: Final = CellQuestion(
     "sync_period_s",
     "SYNC period [s]",
@@ -201,11 +202,11 @@ SYNC_PERIOD: Final = CellQuestion(
     one_number(POSITIVE.of(TIMES)),
 )
 PACING: Final = CellQuestion("pacing", "real, or lockstep on the simulator", "", choice("real", "lockstep"))
-OFFLINE: Final = CellQuestion("offline", "true: no bus is used", "", flag())
+OFFLINE: Final = CellQuestion("offline", "true: no bus is used", "", flag)
 EDS: Final = CellQuestion(
-    "eds", "EDS or DCF files, one per axis or one for all", "supplied by the drive manufacturer", words()
+    "eds", "EDS or DCF files, one per axis or one for all", "supplied by the drive manufacturer", words
 )
-POSES: Final = CellQuestion("poses", "the table [poses] of the cell", "", table())
+POSES: Final = CellQuestion("poses", "the table [poses] of the cell", "", table)
 
 #: All keys of an answer file.
 ALL: Final = (

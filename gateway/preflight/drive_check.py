@@ -25,7 +25,6 @@ from gateway.preflight.rules import (
     Address,
     Axis,
     Readings,
-    conditions,
     judge_identity,
     judge_settings,
     judge_state,
@@ -86,13 +85,13 @@ def _references(profile: DriveProfile) -> dict[Address, str]:
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
         references += [counts.object] if counts.per is None else [counts.object, counts.per]
-    references += [condition.object for condition in conditions(profile)]
+    references += [condition.object for condition in profile.conditions]
     return {(reference.index, reference.subindex): reference.type for reference in references}
 
 
 def live_addresses(profile: DriveProfile) -> frozenset[Address]:
     """Return the objects of `addresses` that vary in operation: state, position, torque."""
-    shown = [profile.torque.object, *(condition.object for condition in conditions(profile))]
+    shown = [profile.torque.object, *(condition.object for condition in profile.conditions)]
     named = {OBJECTS[name].address for name in READ_LIVE}
     return frozenset(named | {(reference.index, reference.subindex) for reference in shown})
 

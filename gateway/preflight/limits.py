@@ -64,7 +64,7 @@ def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> Iterator[Fin
         yield axis.item("fail", OBJECTS["target_position"].address, beyond, _NARROW)
     low, high = axis.config.position_limit_rad
     for name, advice in _RANGES.items() if arm.coupling is None else ():
-        drive, address = _range_rad(axis, arm, readings, name), OBJECTS[f"{name}_min"].address
+        drive, address = drive_range_rad(axis, arm, readings, name), OBJECTS[f"{name}_min"].address
         if drive is not None:
             what = f"drive {drive[0]:.3f} to {drive[1]:.3f} rad, cell {low:g} to {high:g} rad"
             covers = drive[0] <= low and drive[1] >= high
@@ -74,12 +74,10 @@ def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> Iterator[Fin
             yield axis.item("info", address, what)
 
 
-def software_range_rad(axis: Axis, arm: ArmConfig, readings: Readings) -> tuple[float, float] | None:
-    """Return the joint range of the drive [rad]; None if it has none or the joint is coupled."""
-    return _range_rad(axis, arm, readings, "position_limit")
-
-
-def _range_rad(axis: Axis, arm: ArmConfig, readings: Readings, name: str) -> tuple[float, float] | None:
+def drive_range_rad(
+    axis: Axis, arm: ArmConfig, readings: Readings, name: str = "position_limit"
+) -> tuple[float, float] | None:
+    """Return a joint range of the drive [rad]; None if it has none or the joint is coupled."""
     turn = counts_per_revolution(axis.profile, readings)
     first, second = (value_of(readings, f"{name}_{end}") for end in ("min", "max"))
     if turn is None or arm.coupling is not None or first is None or second is None or first == second:

@@ -9,7 +9,7 @@ from typing import Final
 
 from drives.cia402 import FAULTED, Mode, State, decode_state, describe, mode_supported
 from drives.objects import OBJECTS, object_name
-from drives.profile import Condition, Constant, DriveProfile, SafetyCondition, Signal
+from drives.profile import Constant, DriveProfile, Signal
 from drives.values import Identity
 from gateway.cell.config import AxisConfig
 from gateway.result.finding import Finding, Severity
@@ -115,23 +115,17 @@ def _state(axis: Axis, readings: Readings) -> Iterator[Finding]:
         yield axis.item("ok", address, describe(word))
 
 
-def conditions(profile: DriveProfile) -> tuple[Condition, ...]:
-    """Check the conditions for motion: safety chain, referenced encoder."""
-    return (*profile.safety, *(() if profile.reference is None else (profile.reference,)))
-
-
 def _conditions(axis: Axis, readings: Readings) -> Iterator[Finding]:
-    for condition in conditions(axis.profile):
+    for condition in axis.profile.conditions:
         address = (condition.object.index, condition.object.subindex)
         value = readings.get(address)
-        safety = isinstance(condition, SafetyCondition)
-        name = condition.what if safety else "encoder is not referenced"
         if value is None:
-            what = f"{name}: the drive does not have this status object"
+            what = f"{condition.what}: the drive does not have this status object"
             yield axis.item("fail", address, what, "correct [safety] or [reference] of the profile")
         elif not condition.holds(value):
-            advice = "release it before the arm moves" if safety else "reference the encoder at the drive"
-            yield axis.item("fail", address, f"{name}: {condition.describe(value)}", advice)
+            is_reference = condition is axis.profile.reference
+            advice = "reference the encoder at the drive" if is_reference else "release it before the arm moves"
+            yield axis.item("fail", address, f"{condition.what}: {condition.describe(value)}", advice)
         else:
             yield axis.item("ok", address, f"0x{value:X}: ready for motion")
 
@@ -226,7 +220,7 @@ def _torque_limits(axis: Axis, readings: Readings) -> Iterator[Finding]:
     stated_nm = axis.config.torque_limit_nm
     for name, joint_nm in limits.items():
         limit, address, is_total = value_of(readings, name), OBJECTS[name].address, name == "max_torque"
-        if limit == 0 and (joint_nm is not None or not is_total):
+        if limit == 0:
             advice = "set the torque limit in the drive" if is_total else "set the limit in the drive"
             yield axis.item("fail", address, "0: the drive produces no torque", advice)
         elif joint_nm is None:

@@ -17,7 +17,7 @@ from typing import Final
 from drives.objects import OBJECTS
 from drives.values import Identity
 from gateway.cell.config import ArmConfig
-from gateway.preflight.limits import software_range_rad
+from gateway.preflight.limits import drive_range_rad
 from gateway.preflight.rules import Address, Axis, Readings, joint_torque_limit_nm
 from gateway.result.result import Finding
 
@@ -88,7 +88,7 @@ def judge_places(arm: ArmConfig, drives: Sequence[SeenDrive]) -> list[Finding]:
             "gear ratio": _all_agree(*gears),
         }
         reasons = [name for name, value in evidence.items() if value]
-        have_limits = all(software_range_rad(drive.axis, arm, drive.readings) for drive in stated)
+        have_limits = all(drive_range_rad(drive.axis, arm, drive.readings) for drive in stated)
         if reasons and False not in evidence.values() and not (reasons == [TORQUE] and have_limits):
             found.append((first.axis, second.axis, reasons))
     named = [axis.joint for *pair, _ in found for axis in pair]
@@ -127,7 +127,7 @@ def _ranges(arm: ArmConfig, stated: _Two, exchanged: _Two) -> bool | None:
 
 def _range_off(arm: ArmConfig, drive: SeenDrive) -> tuple[float, float] | None:
     """Return how far the drive range ends within and beyond the cell's range, as shares of the cell's span."""
-    own = software_range_rad(drive.axis, arm, drive.readings)
+    own = drive_range_rad(drive.axis, arm, drive.readings)
     if own is None:
         return None
     low, high = drive.axis.config.position_limit_rad

@@ -32,7 +32,8 @@ SHOWN: Final[dict[str, tuple[str, float, str]]] = {
 def render_drive_test(cell: str, created: str, reports: Sequence[DriveTestReport]) -> str:
     """Return the HTML page of the drives of one arm."""
     failed = [report for report in reports if report.findings]
-    good = f"{len(reports)} drives tested, nothing found"
+    measured = [report for report in reports if any(figure.value is not None for figure in report.figures)]
+    good = f"{len(measured)} of {len(reports)} drives tested, nothing found"
     names = ", ".join(report.axis for report in failed)
     rows: list[list[str]] = []
     methods: list[tuple[str, str]] = []
@@ -49,7 +50,7 @@ def render_drive_test(cell: str, created: str, reports: Sequence[DriveTestReport
     return page(
         "drive_test.html.j2",
         Head(f"Drive test: {cell}", "Drive test", (("cell", cell), ("", created))),
-        status="bad" if failed else "good",
+        status="bad" if failed else "open" if len(measured) < len(reports) else "good",
         headline=f"{len(failed)} of {len(reports)} drives with findings: {names}" if failed else good,
         findings=[(f"{report.axis} node {report.node}", text) for report in failed for text in report.findings],
         columns=["figure", *(f"{report.axis} (node {report.node})" for report in reports)],

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from gateway.report import notation
-from gateway.report.page import Head, drive_rows, made, page
+from gateway.report.page import Head, drive_rows, made, page, status_of
 from gateway.report.svg import Panel, limits
 from gateway.result.follow import IDENTIFIED, MAXIMUM, OFF, ErrorCurve, FollowResult, TorqueCurve, TrendCloud
 from gateway.result.interval import SAID
@@ -39,7 +39,7 @@ def render_follow(result: FollowResult) -> str:
         result=result,
         interval=with_interval,
         names=[(setting.name, NAMES.get(setting.name, setting.name)) for setting in result.settings],
-        status="bad" if any(item.severity == "fail" for item in result.findings) else "good",
+        status=status_of(result.findings),
         headline=headline(result),
         figures=figure_rows(result),
         axis_names=[notation.axis(axis + 1) for axis in _axes(result)],
@@ -62,7 +62,7 @@ def headline(result: FollowResult) -> str:
     shown = [setting for name in NAMES if (setting := result.setting(name)) is not None]
     parts = [
         f"{notation.axis(axis + 1)} "
-        f"{' > '.join(notation.rounded(MRAD * setting.peak_rad[axis]) for setting in shown)} mrad"
+        f"{' → '.join(notation.rounded(MRAD * setting.peak_rad[axis]) for setting in shown)} mrad"
         for axis in HEADLINE_AXES
     ]
     return "Peak following error: " + "; ".join(parts)

@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from gateway.report import notation
+from gateway.result.finding import Finding
 from gateway.result.numerals import with_degrees
 from gateway.result.origin import DriveOrigin, Origin
 
@@ -22,6 +23,12 @@ class Head:
     title: str
     heading: str
     about: Sequence[tuple[str, str | None]]
+
+
+def status_of(findings: Sequence[Finding]) -> str:
+    """Return the colour of a page's head: `bad` with a failing finding, `open` with a warning, otherwise `good`."""
+    severities = {finding.severity for finding in findings}
+    return "bad" if "fail" in severities else "open" if "warn" in severities else "good"
 
 
 def made(origin: Origin | None) -> tuple[tuple[str, str | None], ...]:

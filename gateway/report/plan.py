@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from markupsafe import Markup
 
 from gateway.report import space
 from gateway.report.page import Head, page
-from gateway.report.svg import Panel, limits
-from gateway.result.drawn import DrawnPose
+from gateway.report.svg import Panel, limits, nice_step
 
 Vector = Sequence[float]
 WIDTH, MARGIN = 900.0, 14.0
@@ -28,129 +26,64 @@ PATH = (
 ARM = "Lines: arm from its base to the flange. Grey: boxes of keep_out. Cross: x, y and z."
 
 
-def plan_page(
-    title: str,
-    poses: Sequence[DrawnPose],
-    path_m: Sequence[Vector],
+def scene_page(
+    head: Head,
+    lead: str,
+    lines_m: Sequence[tuple[str, Sequence[Vector]]],
     boxes_m: Sequence[Sequence[Vector]],
     said: Sequence[str],
+    *,
+    heading: str = "Path of the flange",
+    arm: tuple[str, Sequence[Vector]] | None = None,
+    over: str = "Poses",
+    figures: Sequence[tuple[str, Markup]] = (),
 ) -> str:
-    """Return the HTML page of a plan.
+    """Return the HTML page of a plan or a cell: lines in space with the boxes of keep_out, and further figures.
 
     Parameters
     ----------
-    title : str
-    poses : sequence of DrawnPose
-    path_m : sequence of points
-        Flange positions along the path, base frame.
+    head : Head
+    lead : str
+        Explains the lines: `MOTIONS`, `PATH` or `ARM`.
+    lines_m : sequence of (name, points)
+        Paths or postures, base frame.
     boxes_m : sequence of (lower, upper) corners
     said : sequence of str
         Monitored distances and assumptions, one line each.
+    heading : str
+        Of the lines.
+    arm : (name, points), optional
+        Positions of joints and flange, base frame.
+    over, figures : str, sequence of (title, figure)
+        Further figures and their heading.
     """
-    head = Head(f"Plan: {title}", "Plan of the rest poses", (("arm", title), ("poses", str(len(poses)))))
-    return page(
-        "plan.html.j2",
-        head,
-        heading="Path of the flange",
-        lead=PATH,
-        scene=_scene([("", path_m)], boxes_m, (f"arm at pose {poses[0].pose}", poses[0].points_m)),
-        arms=space.pose_figures(poses, {}),
-        said=list(said),
-    )
+    scene = _scene(lines_m, boxes_m, arm)
+    return page("plan.html.j2", head, heading=heading, lead=lead, scene=scene, over=over, arms=figures, said=said)
 
 
-@dataclass(frozen=True, slots=True)
-class JointCurves:
-    """One period of a trajectory: positions [rad] and speeds [% of the planning limit] by joint, at times [s]."""
-
-    name: str
-    time_s: Sequence[float]
-    q_rad: Sequence[Sequence[float]]
-    speed_percent: Sequence[Sequence[float]]
-
-
-def moving_page(
-    title: str,
-    paths_m: Sequence[tuple[str, Sequence[Vector]]],
-    curves: Sequence[JointCurves],
-    boxes_m: Sequence[Sequence[Vector]],
-    said: Sequence[str],
-    arm_m: Sequence[Vector],
-) -> str:
-    """Return the HTML page of a trajectory plan.
-
-    Parameters
-    ----------
-    title : str
-    paths_m : sequence of (name, points)
-        Flange positions along each trajectory, base frame.
-    curves : sequence of JointCurves
-        Curves of all joints of each trajectory.
-    boxes_m, said
-        As of a plan.
-    arm_m : sequence of points
-        Positions of joints and flange at the start of the first trajectory, base frame.
-    """
-    motions = (("arm", title), ("motions", str(len(paths_m))))
-    return page(
-        "plan.html.j2",
-        Head(f"Plan: {title}", "Plan of the trajectories", motions),
-        heading="Path of the flange",
-        lead=MOTIONS,
-        scene=_scene(paths_m, boxes_m, ("arm at its start", arm_m)),
-        over="Over one period",
-        arms=[figure for each in curves for figure in _curve_figures(each)],
-        said=list(said),
-    )
-
-
-def _curve_figures(curves: JointCurves) -> list[tuple[str, Markup]]:
-    """Draw position and speed of each moving joint over one period."""
+def curve_figures(
+    name: str, time_s: Sequence[float], q_rad: Sequence[Sequence[float]], speed_percent: Sequence[Sequence[float]]
+) -> list[tuple[str, Markup]]:
+    """Draw position [rad] and speed [% of the planning limit] of each moving joint over one period at times [s]."""
     figures: list[tuple[str, Markup]] = []
-    for joint, (angles, speeds) in enumerate(zip(curves.q_rad, curves.speed_percent, strict=True), start=1):
+    for joint, (angles, speeds) in enumerate(zip(q_rad, speed_percent, strict=True), start=1):
         if not any(speeds):
             continue
-        title = f"{curves.name}: J{joint}"
+        title = f"{name}: J{joint}"
         degrees = [math.degrees(angle) for angle in angles]
         for label, values, about in (("position [deg]", degrees, ()), ("speed [% of limit]", speeds, (-100.0, 100.0))):
-            panel = Panel(CURVE_WIDTH, CURVE_HEIGHT, limits(curves.time_s, pad=0.0), limits(values, include=about))
+            panel = Panel(CURVE_WIDTH, CURVE_HEIGHT, limits(time_s, pad=0.0), limits(values, include=about))
             panel.y_axis(label)
             panel.x_axis("time [s]")
-            panel.polyline(list(zip(curves.time_s, values, strict=True)), "curve")
+            panel.polyline(list(zip(time_s, values, strict=True)), "curve")
             figures.append((title, panel.svg(f"{title}, {label}")))
     return figures
 
 
-def cell_page(
-    title: str,
-    postures: Sequence[tuple[str, Sequence[Vector]]],
-    boxes_m: Sequence[Sequence[Vector]],
-    said: Sequence[str],
-) -> str:
-    """Return the HTML page of the arm of a cell.
-
-    Parameters
-    ----------
-    title : str
-    postures : sequence of (name, points)
-        Positions of the joints and the flange, base frame.
-    boxes_m, said
-        As of a plan.
-    """
-    head = Head(f"Cell: {title}", "The arm and its surroundings", (("arm", title),))
-    return page("plan.html.j2", head, heading="Postures", lead=ARM, scene=_scene(postures, boxes_m), arms=[], said=said)
-
-
-def edges(low: Vector, high: Vector) -> list[tuple[Vector, Vector]]:
+def _edges(low: Vector, high: Vector) -> list[tuple[Vector, Vector]]:
     """Return the twelve edges of a box."""
     corners = [tuple((low, high)[(number >> axis) & 1][axis] for axis in range(3)) for number in range(8)]
     return [(corners[a], corners[a | 1 << axis]) for a in range(8) for axis in range(3) if not a >> axis & 1]
-
-
-def _round_length_m(far_m: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is at most a third of the range shown."""
-    power = 10.0 ** math.floor(math.log10(far_m / 3.0))
-    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= far_m / 3.0)
 
 
 def _scene(
@@ -162,10 +95,10 @@ def _scene(
     arms_m = [] if arm is None else [(arm[0], [(0.0, 0.0, 0.0), *arm[1]])]
     far = 1.15 * max(max(abs(value) for value in point) for _, points in (*lines_m, *arms_m) for point in points)
     near = [[[min(max(value, -far), far) for value in corner] for corner in box] for box in boxes_m]
-    rings = [tuple(space.project(end) for end in edge) for low, high in near for edge in edges(low, high)]
+    rings = [tuple(space.project(end) for end in edge) for low, high in near for edge in _edges(low, high)]
     flat = [(name, [space.project(point) for point in points]) for name, points in lines_m]
     stood = [(name, [space.project(point) for point in points]) for name, points in arms_m]
-    length = _round_length_m(far)
+    length = nice_step(far, 3)
     origin = space.project((0.0, 0.0, 0.0))
     tips = [space.project([length * (axis == other) for other in range(3)]) for axis in range(3)]
     drawn = [at for _, points in (*flat, *stood) for at in points]

@@ -232,16 +232,6 @@ class TwoArms(ABC):
         noise = 0.003 * rated * self._random.standard_normal(len(rated))
         return ((motors.shown_nm[own] + noise) * [axis.free for axis in motors.axes[own]]).tolist()
 
-    @property
-    def fastest_rad_s(self) -> Array:
-        """Largest speed of each motor at its gear output since `forget_fastest`, shape (J,) [rad/s]."""
-        return np.array([axis.fastest_rad_s for axis in self.motors.axes])
-
-    def forget_fastest(self) -> None:
-        """Reset the largest speed."""
-        for axis in self.motors.axes:
-            axis.fastest_rad_s = 0.0
-
     def close(self) -> None:
         """Give the physics engine back; may be called again."""
         self._engine.close()

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
+from numpy.typing import ArrayLike
 
 
 def urdf_of(rng: np.random.Generator, more: str = "", axes: int = 6) -> str:
@@ -28,19 +29,35 @@ def urdf_of(rng: np.random.Generator, more: str = "", axes: int = 6) -> str:
     return "".join([*parts, "</robot>"])
 
 
-def body_on_link_6(inertial: str) -> str:
-    """URDF text of a body fixed to link 6, from the text of its <inertial>."""
-    return (
-        f'<link name="load">{inertial}</link><joint name="load_joint" type="fixed"><parent link="link_6"/>'
-        '<child link="load"/><origin xyz="0 0 0" rpy="0 0 0"/></joint>'
-    )
-
-
 def peer_of(text: str, gravity_m_s2: tuple[float, ...] = (0.0, 0.0, -9.80665)) -> tuple[Any, Any]:
     """The same arm in pinocchio: model and data."""
     model = pinocchio.buildModelFromXML(text)
     model.gravity.linear = np.array(gravity_m_s2)
     return model, model.createData()
+
+
+def carrying(model: Any, mass_kg: float, com_m: ArrayLike, inertia_kg_m2: ArrayLike = ((0.0,) * 3,) * 3) -> Any:
+    """A copy of a pinocchio model with a body on its last joint; the inertia is about the body's centre."""
+    loaded = model.copy()
+    body = pinocchio.Inertia(mass_kg, np.array(com_m), np.array(inertia_kg_m2))
+    loaded.appendBodyToJoint(loaded.nv, body, pinocchio.SE3.Identity())
+    return loaded
+
+
+def torque_of(model: Any, q: np.ndarray, qd: np.ndarray | None = None, qdd: np.ndarray | None = None) -> np.ndarray:
+    """Joint torque (n, axes) [Nm] of a pinocchio model at these states (n, axes); at rest by default."""
+    data, still = model.createData(), np.zeros_like(q)
+    rows = zip(q, still if qd is None else qd, still if qdd is None else qdd, strict=True)
+    return np.array([pinocchio.rnea(model, data, *row) for row in rows])
+
+
+def sines(
+    time_s: np.ndarray, size: ArrayLike, rate_rad_s: np.ndarray, phase_rad: ArrayLike
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angles, rates and accelerations (n, axes) of sums of sines; size, rate and phase are (terms, axes)."""
+    angle = time_s[:, None, None] * rate_rad_s + phase_rad
+    wave, slope = np.sin(angle), np.cos(angle)
+    return tuple(np.sum(size * part, axis=1) for part in (wave, rate_rad_s * slope, -(rate_rad_s**2) * wave))  # type: ignore[return-value]
 
 
 def states(seed: int, n: int, axes: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

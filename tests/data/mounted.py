@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import pinocchio  # pyright: ignore[reportMissingImports]
 
+from tests.data.arms import torque_of
 from tests.data.moving_arm import World, true_arm
 
 Payload = tuple[float, float, float, float] | None
@@ -24,7 +24,7 @@ def readings(
     """Pose from 1, side and torque (6,) of each pose (k, 6) approached from both sides under its payload (k,)."""
     for pose, (place, payload) in enumerate(zip(places, payloads, strict=True), start=1):
         model = true_arm(np.random.default_rng(seed), World(payload=payload), CAD_ERROR)
-        gravity = pinocchio.rnea(model, model.createData(), place, np.zeros(6), np.zeros(6))
+        (gravity,) = torque_of(model, place[None])
         for side in (-1.0, 1.0):
             yield pose, side, gravity + side * BAND_NM + rng.normal(0.0, 0.02, 6)
 

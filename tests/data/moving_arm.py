@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gateway.data.rows import MOVING, concatenate
 from gateway.model.robot import robot_from_urdf
+from tests.data.arms import torque_of
 from tests.support.rigs.tables import make_table
 
 URDF = (Path(__file__).parents[2] / "examples" / "small" / "robot.urdf").read_text()
@@ -83,6 +84,13 @@ def coloured(generator, shape, rate_hz):
     return out
 
 
+def as_period(table, torque_nm, excitation, number, period_s):
+    """Rows of the first period of an excitation as those of a later one, with this torque (n, 6) and its marks."""
+    count, phase_s = np.ones(len(table)), table.time_s - table.time_s[0]
+    marks = {"x_excitation": excitation * count, "x_period": float(number) * count, "x_phase_s": phase_s}
+    return replace(table, time_s=table.time_s + number * period_s, tau_nm=torque_nm, extra=marks)
+
+
 def several(seed, loads, world=None, gain_std=0.03, load_friction=(0.05, 0.02), duration_s=10.0, noise=0.02):
     """Runs of one arm, by their load ((mass, x, y, z), None = bare), with nuisance parameters; and the robot model.
 
@@ -112,8 +120,7 @@ def measured(seed, world, duration_s=24.0, rate_hz=25.0, noise=0.02, cad_error=0
     robot = robot_from_urdf(URDF, "robot.urdf")
     model = true_arm(generator if arm_seed is None else np.random.default_rng(arm_seed), world, cad_error)
     time, q, qd, qdd = trajectory(generator, robot, duration_s, rate_hz)
-    data = model.createData()
-    rigid = np.array([pinocchio.rnea(model, data, *rows) for rows in zip(q, qd, qdd, strict=True)])
+    rigid = torque_of(model, q, qd, qdd)
     if scale is None:
         scale = np.sqrt((rigid**2).mean(axis=0))
         scale = np.maximum(scale, 0.05 * scale.max())

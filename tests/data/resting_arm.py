@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -35,12 +36,14 @@ class Bench:
         rng = np.random.default_rng([seed, 99])
         self.arm: DrawnArm = draw_arm(rng)
         self.plant = apply_effects(self.arm.plant, effects, point_jacobian(self.arm.chain))
-        self.poses = choose_poses(self.arm, poses, rng)
+        self.poses = choose_poses(self.arm.chain, self.arm.floor_nm, self.arm.prior_std, poses, rng)
         self.robot: Robot = robot_from_urdf(self.arm.urdf, "drawn")
         self.seed, self.now_s, self.next_pose = seed, 0.0, 100
         self.options = Knowledge(efficiency=self.arm.efficiency, gear_ratio=self.arm.gear_ratio)
 
-    def table(self, poses: np.ndarray, load: str, first: int = 0, protocol: Protocol | None = None) -> Table:
+    def table(
+        self, poses: np.ndarray, load: str, first: int = 0, protocol: Protocol | None = None, run: str = "bench"
+    ) -> Table:
         visits = []
         for k, q in enumerate(poses):
             visits.append(PlannedVisit(first + k, load, self.now_s, q))
@@ -48,7 +51,7 @@ class Bench:
         self.now_s += 60.0
         rng = np.random.default_rng([self.seed, int(self.now_s)])
         columns = measure(self.arm.chain, self.plant, visits, self.arm.loads, protocol or self.arm.protocol, rng)
-        return simulated_table(columns)
+        return simulated_table(columns, run)
 
     def both(self) -> Table:
         return concatenate([self.table(self.poses, "none"), self.table(self.poses, "tool")])
@@ -56,6 +59,18 @@ class Bench:
     def more(self, poses: np.ndarray) -> Table:
         self.next_pose += len(poses)
         return self.table(poses, "tool", self.next_pose)
+
+
+def undirected(table: Table) -> Table:
+    """The table without approach directions."""
+    return replace(table, direction=np.zeros_like(table.direction))
+
+
+def single_joint_sweep(bench: Bench, axis: int) -> Table:
+    """Visits along which one axis alone moves."""
+    bench.poses = np.tile(bench.poses[0], (12, 1))
+    bench.poses[:, axis] = np.linspace(-0.8, 0.8, 12)
+    return bench.both()
 
 
 def problems(bench: Bench, table: Table) -> Callable[[tuple[Mistake, ...]], RestProblem]:

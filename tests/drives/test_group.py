@@ -284,7 +284,7 @@ def test_boot_up_in_the_middle_of_a_run_is_found_and_needs_a_new_configuration(g
         group.hold()
     assert {slave.state for slave in slaves} == {"quick stop", "switch on disabled"}
     group.disable()
-    with pytest.raises(ConfigurationRefused):
+    with pytest.raises(DriveRebooted, match="node 4"):
         group.enable()
     group.connect()
     group.configure()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drives.bringup import decimal_periods
 from drives.bus import Bus, BusSpec
-from drives.busload import cycle_bits_worst, frame_bits, frame_bits_worst, largest_rate_hz
+from drives.busload import cycle_bits_worst, frame_bits, frame_bits_worst
 from drives.clock import SyncClock
 from drives.discovery import matching_profiles, probe, scan
 from drives.emcy import EmcyLog, parse_emergency
@@ -39,9 +39,7 @@ def test_bits_of_a_frame(size, least, most):
 
 def test_597_cycles_of_six_drives_fit_one_megabit():
     """SYNC + 6 TPDO + 6 RPDO of eight bytes: 1675 bits in the worst case."""
-    bits = cycle_bits_worst([0, *[8] * 12])
-    assert bits == 1675
-    assert int(largest_rate_hz(bits, 1e6)) == 597
+    assert cycle_bits_worst([0, *[8] * 12]) == 1675 == 1_000_000 // 597
 
 
 def test_a_rate_that_does_not_fit_is_refused_with_the_one_that_does(bus, add_slaves, setups):

@@ -21,6 +21,7 @@ from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.workspace import Workspace, workspace_of
+from tests.data.arms import urdf_of
 from tests.support.rigs.pacing import in_lockstep
 
 ENABLED = 0x1237
@@ -207,6 +208,12 @@ def _example(name: str) -> LoadedCell:
     path = Path(__file__).parents[2] / "examples" / name / "cell.toml"
     text = in_lockstep(path.read_text(encoding="utf-8"))
     return LoadedCell(cell=parse_cell(text, str(path)), text=text, folder=path.parent)
+
+
+@pytest.fixture
+def random_urdf():
+    """Factory: seed -> URDF text of a random arm; `more` is put inside <robot>."""
+    return lambda seed, more="": urdf_of(np.random.default_rng(seed), more)
 
 
 @pytest.fixture(scope="session")

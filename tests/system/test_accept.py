@@ -13,8 +13,6 @@ from gateway.data.recording.reader import read
 from sim.serve import running
 from tests.support.rigs.proofs import keep_proof_of_stop
 
-pytestmark = pytest.mark.system
-
 
 def identified(place, gateway, drives):
     """Record the unloaded arm and the load, and estimate."""

@@ -9,7 +9,7 @@ from benchmarks.strangers.simulated import record
 from gateway.data.recording.reader import read
 from tests.data.arm_classes import CLASSES
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("name", ["seven light", "seven with a thin flange", "six without mass"])

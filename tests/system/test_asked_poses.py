@@ -7,8 +7,6 @@ import math
 
 import pytest
 
-pytestmark = pytest.mark.system
-
 POSE, OTHER = "0.1,-0.1,0.1,0.1,-0.1,0.1", "0.15,-0.05,0.15,0.05,-0.15,0.2"
 
 

@@ -14,8 +14,6 @@ from tests.cells import CELLS
 from tests.support.rigs.pacing import measured_shortly
 from tests.system.conftest import Place
 
-pytestmark = pytest.mark.system
-
 
 @pytest.fixture(params=CELLS, ids=lambda cell: cell.name)
 def arm(request):

@@ -10,8 +10,6 @@ from drives.frame_log import RECEIVED
 from gateway.data.blackbox.box import read_box
 from gateway.data.blackbox.ring_buffer import box_of, folder_of
 
-pytestmark = pytest.mark.system
-
 AT_SYNC = 900
 
 

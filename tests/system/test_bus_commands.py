@@ -18,7 +18,6 @@ from drives.values import Identity
 from gateway.data.recording.reader import read
 from sim.serve import running
 
-pytestmark = pytest.mark.system
 BEAT = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
 
 

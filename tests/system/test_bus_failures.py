@@ -4,8 +4,6 @@ import re
 
 import pytest
 
-pytestmark = pytest.mark.system
-
 KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 400\n' for node in range(1, 7))
 KILLED_NODE = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 400\n'
 

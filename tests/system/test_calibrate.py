@@ -9,7 +9,6 @@ import pytest
 from gateway.cell.calibration import calibration_path, parse_calibration
 from tests.system.conftest import with_few_poses
 
-pytestmark = pytest.mark.system
 TRUTH_KG = 6.0
 #: True torque over reported torque.
 SCALE = {2: 1.04, 3: 0.96}

@@ -6,8 +6,6 @@ import json
 
 import pytest
 
-pytestmark = pytest.mark.system
-
 DEAF = '[[fault]]\nkind = "heartbeat_ignored"\nnode = {}\n'
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-pytestmark = pytest.mark.system
-
 EFFECT = '[[effect]]\nname = "sign_reversed"\njoints = [4]\n'
 
 

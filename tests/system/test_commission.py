@@ -9,11 +9,11 @@ import pytest
 
 from tests.system.conftest import with_few_poses
 
-pytestmark = pytest.mark.system
 TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("fast_arm")
 def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gateway):
     """The load is mounted where the arm is."""
     lines = place.cell.read_text().splitlines(keepends=True)

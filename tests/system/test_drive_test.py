@@ -14,7 +14,6 @@ from gateway.data.blackbox.box import read_box
 from gateway.preflight import machine
 from sim.faults import act, fault_of
 
-pytestmark = pytest.mark.system
 #: A sleeper that is woken with a larger delay shows that this computer did not keep its time [s].
 STALL_S = 0.004
 

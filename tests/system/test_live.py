@@ -28,8 +28,6 @@ from tests.support.pages.browser import MISSING, Browser, available, browser
 from tests.support.processes import wait_until
 from tests.support.rigs.proofs import keep_proof_of_stop
 
-pytestmark = pytest.mark.system
-
 PATIENCE_S = 60.0
 WIDE, NARROW = (1280, 900), (390, 844)
 DRAWN = """

@@ -6,7 +6,6 @@ import shlex
 
 import pytest
 
-pytestmark = pytest.mark.system
 #: Near to where the simulator's arm is at first.
 NEAR = "0.05,-0.05,0.1,0.05,-0.05,0.1"
 

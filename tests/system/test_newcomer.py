@@ -28,8 +28,6 @@ from tests.data.sheets import write_sheet
 from tests.support.rigs.pacing import measured_shortly
 from tests.system.conftest import command
 
-pytestmark = pytest.mark.system
-
 OWN = Path(__file__).parents[2] / "examples" / "own"
 MOST_COMMANDS, MOST_ANSWERS = 8, 40
 #: Few poses, taken fast: this tests the procedure, not the accuracy.

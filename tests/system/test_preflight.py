@@ -15,8 +15,6 @@ from gateway.model.arm_model import arm_robot
 from sim.simulation import ServeOptions, Simulation
 from tests.support.follow.rig import EXAMPLES
 
-pytestmark = pytest.mark.system
-
 STOPPED = 4
 WRONG = {
     "polarity": ((0x607E, 0), 0xC0, "inverts position"),

@@ -25,7 +25,6 @@ from sim.faults import act, fault_of
 from sim.states import PdsState
 from tests.support.rigs.brakes import in_brakes
 
-pytestmark = pytest.mark.system
 HEARTBEAT = "heartbeat is"
 
 

@@ -6,8 +6,6 @@ import json
 
 import pytest
 
-pytestmark = pytest.mark.system
-
 
 def findings(done, where: str) -> list[dict]:
     return [each for each in json.loads(done.stdout)["findings"] if each["where"].startswith(where)]

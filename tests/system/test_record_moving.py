@@ -19,8 +19,6 @@ from gateway.result.result import read_result
 from sim.cellfile import read_payloads
 from tests.data.excitations import swing
 
-pytestmark = pytest.mark.system
-
 #: Sweeps of these joints alone, at two of the planned speeds: the others' friction shows in the series.
 SWEPT, SPEEDS = ("friction J2", "friction J5"), [2, 4]
 #: A box of half a metre: what turns the wrist shows its inertia.

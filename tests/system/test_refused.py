@@ -4,8 +4,6 @@ import pytest
 
 from tests.system.conftest import with_few_poses
 
-pytestmark = pytest.mark.system
-
 OTHER_MAKE = ('profile = "generic-cia402"', 'profile = "maxon-epos4"')
 
 

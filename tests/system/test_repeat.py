@@ -9,8 +9,6 @@ import pytest
 from gateway.data.recording.reader import read
 from tests.system.conftest import with_few_poses
 
-pytestmark = pytest.mark.system
-
 
 @pytest.mark.slow
 def test_a_load_is_measured_twice_and_a_third_time_later(place, serve, commission, fast_arm):

@@ -10,7 +10,6 @@ from gateway.identify.drift import AGAIN
 from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows, split_validation
 from tests.system.conftest import with_few_poses
 
-pytestmark = pytest.mark.system
 TRUTH_KG = 6.0
 #: Of the torque that the drives of axes 2 and 3 show, since they were switched on.
 PER_S = 4e-4

@@ -23,8 +23,6 @@ from sim.serve import free_bus, wait_until_ready
 from tests.support.rigs.pacing import measured_shortly
 from tests.system.conftest import command
 
-pytestmark = pytest.mark.system
-
 ROOT = Path(__file__).parents[2]
 TUTORIALS = ROOT / "docs" / "tutorial"
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

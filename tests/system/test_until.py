@@ -6,7 +6,6 @@ import json
 
 import pytest
 
-pytestmark = pytest.mark.system
 TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
 
 

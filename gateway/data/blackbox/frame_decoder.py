@@ -18,6 +18,7 @@ from drives.heartbeat import NmtCommand, NmtState
 from drives.objects import OBJECTS
 from drives.profile import DriveProfile
 from drives.profile_file import list_profiles, load_profile
+from drives.sdo import ABORT, CCS_DOWNLOAD, COMMAND_BITS, EXPEDITED, SCS_UPLOAD, expedited_data
 from gateway.cell.config import parse_cell
 from gateway.data.blackbox.box import BlackBox
 from gateway.errors import ConfigError
@@ -30,8 +31,6 @@ RESPONSE_PERIODS: Final = 5.0
 #: Equal messages of several nodes within this time are merged [s].
 TOGETHER_S: Final = 0.005
 _NODES: Final = 128
-_ABORT: Final = 0x80
-_UPLOAD_ANSWER, _DOWNLOAD, _COMMAND_BITS, _EXPEDITED, _SIZED = 0x40, 0x20, 0xE0, 0x02, 0x01
 _OBJECTS: Final = {entry.address: str(entry) for entry in OBJECTS.values()}
 
 
@@ -222,17 +221,17 @@ def _sdo(data: bytes, request: bool) -> str:
         return ""
     address = int.from_bytes(data[1:3], "little"), data[3]
     name = _OBJECTS.get(address, f"{address[0]:04X}:{address[1]:02X}")
-    if data[0] == _ABORT:
+    if data[0] == ABORT:
         code = int.from_bytes(data[4:8], "little")
         what, _ = ABORT_CODES.get(code, ("code unknown to CiA 301", ""))
         return f"SDO {name}: {'master ' if request else ''}abort 0x{code:08X}, {what}"
-    if data[0] & _COMMAND_BITS != (_DOWNLOAD if request else _UPLOAD_ANSWER):
+    if data[0] & COMMAND_BITS != (CCS_DOWNLOAD if request else SCS_UPLOAD):
         return ""
     verb = "is written" if request else "reads"
-    if not data[0] & _EXPEDITED:
+    if not data[0] & EXPEDITED:
         return f"SDO {name} {verb} in segments"
-    size = 4 - (data[0] >> 2 & 0x03) if data[0] & _SIZED else 4
-    return f"SDO {name} {verb} 0x{int.from_bytes(data[4 : 4 + size], 'little'):0{2 * size}X}"
+    value = expedited_data(data)
+    return f"SDO {name} {verb} 0x{int.from_bytes(value, 'little'):0{2 * len(value)}X}"
 
 
 def _together(events: list[DecodedEvent]) -> list[DecodedEvent]:

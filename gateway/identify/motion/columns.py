@@ -122,7 +122,7 @@ class Columns:
     loads: dict[str, int]
     bodies: int
     nuisances: dict[str, Ints]
-    occasions: tuple[tuple[str, str], ...]
+    occasions: tuple[tuple[str, ...], ...]
     occasion: Ints
     sign: Floats
     smooth_rad_s: float | Floats

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from gateway.data.periods import EXCITATION, MOTION_HZ, PERIOD, PHASE_S, repeats, uninterrupted
-from gateway.data.rows import Table, concatenate
+from gateway.data.rows import Table, concatenate, numbered
 from gateway.identify.correlation import correlation_time
 from gateway.identify.motion.problem import Contrasts
 from gateway.identify.motion.stretches import Stretches
@@ -155,9 +155,8 @@ def averaged(moving: Table, judged: Mask) -> Periods:
 
 def _group(mine: Ints, moving: Table, period: Floats, phase_s: Floats) -> _Group:
     """Rows of one recording, load and excitation by period, in time order."""
-    names = [(moving.file[k], float(number)) for k, number in zip(mine, period, strict=True)]
-    order = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    which, numbers = np.array([order[name] for name in names]), np.array([name[1] for name in order])
+    names, which = numbered([moving.file[k] for k in mine], period)
+    numbers = np.array([name[1] for name in names])
     steps = np.concatenate([np.diff(np.sort(phase_s[which == k])) for k in range(len(numbers))])
     steps = steps[steps > 0]
     step = float(np.median(steps)) if len(steps) else 1.0

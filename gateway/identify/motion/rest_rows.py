@@ -100,7 +100,7 @@ def _common(problem: RestProblem) -> Ints:
     return first + np.arange(len(_occasions(problem)) + 1) * (problem.axes + 1)
 
 
-def _occasions(problem: RestProblem) -> tuple[tuple[str, str], ...]:
+def _occasions(problem: RestProblem) -> tuple[tuple[str, ...], ...]:
     """Run and load of each occasion of the rest rows."""
     return problem.nuisance.changes.occasions
 

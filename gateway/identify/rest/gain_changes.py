@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.data.rows import Table
+from gateway.data.rows import Table, numbered
 from gateway.identify.nuisance import CHANGE_AXIS, CHANGE_COMMON, COMMON_SHARE
 from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.model.motion import MovingRows
@@ -44,7 +44,7 @@ class GainChanges:
 
     relative: Floats
     common_std: float
-    occasions: tuple[tuple[str, str], ...] = ()
+    occasions: tuple[tuple[str, ...], ...] = ()
     start_s: float = np.nan
     factor: float = 1.0
 
@@ -98,8 +98,6 @@ class GainChanges:
         return [own] * self.axes + [CHANGE_COMMON]
 
 
-def occasions_of(rows: Visits | Table | MovingRows) -> tuple[tuple[tuple[str, str], ...], NDArray[np.int_]]:
+def occasions_of(rows: Visits | Table | MovingRows) -> tuple[tuple[tuple[str, ...], ...], NDArray[np.int_]]:
     """Return run and load of each occasion in the order of the rows, and the occasion (n,) of each row."""
-    names = list(zip(np.asarray(rows.run).tolist(), np.asarray(rows.load).tolist(), strict=True))
-    number = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    return tuple(number), np.array([number[name] for name in names], dtype=int)
+    return numbered(rows.run, rows.load)

@@ -24,7 +24,7 @@ LOAD = LoadResult("load", 69.9, 0.13, (0.0495, -0.0206, 0.2208), (0.0006, 0.0007
 BAND_NM = (78.8, 104.7, 63.6, 21.9, 16.5, 11.9)
 BUILD_ERRORS = 3
 
-pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.xdist_group("follow")]
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("follow")]
 
 
 @pytest.fixture(scope="module")

@@ -45,7 +45,6 @@ def edit(cell: Path, old: str, new: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.system
 def test_one_cycle_brings_the_gap_home_and_is_learned_from() -> None:
     with gap_rig(1) as rig:
         plain = rig.run("A", FAST)
@@ -77,7 +76,6 @@ def lost_at(rig: GapRig, after_s: float, cycles: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.system
 def test_a_missing_frame_is_no_value_and_never_the_old_one() -> None:
     with gap_rig(0) as rig:
         run = rig.run("E5", FAST)
@@ -106,7 +104,6 @@ def is_too_far(rig: GapRig) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.system
 @pytest.mark.parametrize(
     ("harm", "said", "kind"),
     [

@@ -21,8 +21,6 @@ from gateway.pair.transform_function import constant_function
 from sim.fake_drive import FakeDrive
 from sim.states import PdsState
 
-pytestmark = pytest.mark.system
-
 FAST = 3.0
 
 

@@ -18,7 +18,7 @@ from gateway.model.arm_model import robot_text
 from gateway.motion.opening import open_arm
 from sim.serve import RunningSimulation, running
 
-pytestmark = [pytest.mark.system, pytest.mark.xdist_group("session")]
+pytestmark = pytest.mark.xdist_group("session")
 
 CELL = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
 

@@ -22,7 +22,7 @@ from gateway.result.result import read_result
 from sim.serve import running
 from tests.support.rigs.pacing import measured_shortly
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.xdist_group("session")]
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("session")]
 ROOT = Path(__file__).parents[3]
 TEMPERATURE = """
 [temperature]

@@ -1,11 +1,11 @@
-"""Options that several commands share: KEY=VALUE."""
+"""Options that several commands share: KEY=VALUE, known loads."""
 
 from __future__ import annotations
 
 import click
 import pytest
 
-from gateway.commands.shared_options import key_values
+from gateway.commands.shared_options import key_values, known_loads
 
 
 def test_keys_and_values_are_taken_apart_once():
@@ -19,3 +19,9 @@ def test_what_has_no_key_or_another_one_is_a_usage_error(pair, keys, says):
     with pytest.raises(click.UsageError, match=says) as caught:
         key_values("--answer", (pair,), keys)
     assert f"--answer '{pair}'" in str(caught.value)
+
+
+def test_a_known_load_that_is_stated_twice_is_a_usage_error():
+    assert list(known_loads(("a=1", "b=2"))) == ["a", "b"]
+    with pytest.raises(click.UsageError, match="twice"):
+        known_loads(("a=1", "b=2", "a=3"))

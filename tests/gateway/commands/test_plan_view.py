@@ -4,11 +4,9 @@ import re
 import shutil
 from pathlib import Path
 
-import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
-from gateway.report.plan import _round_length_m, edges
 
 EXAMPLE = Path("examples/small/cell.toml")
 
@@ -39,19 +37,8 @@ def test_a_cell_is_drawn_where_its_file_names_a_posture(tmp_path):
     page = (folder / "cell.html").read_text(encoding="utf-8")
     for name in ("all joints at 0", "home", "loading", "z 0.2 m"):
         assert f">{name}</text>" in page
+    assert page.count('<polyline class="ring"') == 2 * 12, "the edges of two boxes"
     assert "floor: -0.02 m, arm.floor_m" in page
     assert "column: radius 0.12 m" in " ".join(done.output.split())
     again = CliRunner().invoke(main, ["cell", "view", str(folder / "cell.toml")])
     assert (again.exit_code, (folder / "cell.html").read_text(encoding="utf-8")) == (3, page)
-
-
-@pytest.mark.parametrize(("far_m", "length_m"), [(0.29, 0.05), (1.5, 0.5), (1.51, 0.5), (3.0, 1.0), (6.1, 2.0)])
-def test_the_cross_has_a_round_length_of_at_most_a_third(far_m, length_m):
-    assert _round_length_m(far_m) == pytest.approx(length_m)
-
-
-def test_a_box_has_twelve_edges_of_its_own_length():
-    found = edges((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
-    lengths = sorted(sum(abs(b - a) for a, b in zip(*edge, strict=True)) for edge in found)
-    assert lengths == [1.0] * 4 + [2.0] * 4 + [3.0] * 4
-    assert len({frozenset(edge) for edge in found}) == 12

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
+from gateway.data.rows import MOVING
 from gateway.data.table import write_csv
 from sim.cellfile import read_cell
 from sim.effects import apply_effects
@@ -17,7 +18,8 @@ from sim.nominal import plant_of
 from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 from sim.plant import Payload
 from tests.cells import CELLS
-from tests.support.rigs.tables import simulated_table
+from tests.data.arms import peer_of, sines, torque_of
+from tests.support.rigs.tables import make_table, simulated_table
 
 LOAD = Payload("tool", 3.0, np.array([0.05, -0.03, 0.06]))
 SPRING = {"name": "balancer_spring", "joints": [2], "parameters": {"stiffness_n_m": 9000.0}}
@@ -116,26 +118,16 @@ def test_the_last_axis_is_looked_at_too(arm, tmp_path):
 @pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
 def test_a_moving_run_is_diagnosed(arm, tmp_path):
     """A rigid arm with friction, its torque by the oracle of `tests/data/arms.py`, has nothing to name."""
-    pinocchio = pytest.importorskip("pinocchio")
-    from tests.data.arms import peer_of
-
-    model, data = peer_of(arm.urdf)
+    model, _ = peer_of(arm.urdf)
     time = np.linspace(0.0, 30.0, 1500)
-    rate, size = np.linspace(0.7, 1.9, arm.axes), 0.5 * np.minimum(arm.robot.upper_rad, 1.5)
-    phase = np.outer(time, rate) + np.arange(arm.axes)
-    q, qd, qdd = size * np.sin(phase), size * rate * np.cos(phase), -size * rate**2 * np.sin(phase)
-    tau = np.array([pinocchio.rnea(model, data, *row).copy() for row in zip(q, qd, qdd, strict=True)])
+    rate, size = np.linspace(0.7, 1.9, arm.axes)[None], 0.5 * np.minimum(arm.robot.upper_rad, 1.5)
+    q, qd, qdd = sines(time, size, rate, np.arange(arm.axes))
+    tau = torque_of(model, q, qd, qdd)
     rng = np.random.default_rng(2)
     tau += 5.0 * np.tanh(qd / 0.02) + 2.0 * qd + 0.02 * np.abs(tau).max(axis=0) * rng.standard_normal(tau.shape)
-    names = [
-        form.format(joint)
-        for form in ("q{}_rad", "qd{}_rad_s", "qdd{}_rad_s2", "tau{}_nm")
-        for joint in range(1, arm.axes + 1)
-    ]
-    rows = np.column_stack([time, q, qd, qdd, tau])
-    path = tmp_path / "moving.csv"
-    np.savetxt(path, rows, delimiter=",", header=",".join(["time_s", *names]), comments="")
-    out = tmp_path / "out.json"
+    path, out = tmp_path / "moving.csv", tmp_path / "out.json"
+    count = len(time)
+    write_csv(make_table(["none"] * count, [MOVING] * count, q, tau, time=time, qd=qd, qdd=qdd), path)
     said = command("diagnose", path, "--robot", arm.folder / "robot.urdf", "--json", out)
     assert said.exit_code == 0, said.output
     body = json.loads(out.read_text())

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
 from gateway.data.rows import MOVING, concatenate
@@ -18,7 +17,7 @@ from gateway.identify.knowledge import Knowledge
 from gateway.identify.repeats import negative_bands
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.result.result import Result
-from tests.data.arms import peer_of, urdf_of
+from tests.data.arms import carrying, peer_of, sines, torque_of, urdf_of
 from tests.data.resting_arm import Bench
 from tests.support.rigs.tables import make_table
 
@@ -137,26 +136,22 @@ def _moving_arm(
     """Runs of 8 s of a random chain: torque by pinocchio, Coulomb and viscous friction, white noise; and rest poses."""
     rng = np.random.default_rng([seed, axes])
     text = urdf_of(rng, axes=axes)
-    model, data = peer_of(text)
-    time_s = np.arange(0.0, 8.0, 0.02)
-    tables, bare = [], model.inertias[axes].copy()
+    model, _ = peer_of(text)
+    time_s, tables = np.arange(0.0, 8.0, 0.02), []
     for number, (label, load) in enumerate(loads.items()):
-        extra = None if load is None else pinocchio.Inertia(load[0], np.array(load[1:]), 0.01 * load[0] * np.eye(3))
-        model.inertias[axes] = bare if extra is None else bare + extra
+        loaded = model if load is None else carrying(model, load[0], load[1:], 0.01 * load[0] * np.eye(3))
         omega, phase = rng.uniform(0.8, 2.5, (3, axes)), rng.uniform(0.0, 6.0, (3, axes))
-        angle = time_s[:, None, None] * omega + phase
-        q, qd = 0.4 * np.sin(angle).sum(axis=1), 0.4 * (omega * np.cos(angle)).sum(axis=1)
-        qdd = -0.4 * (omega**2 * np.sin(angle)).sum(axis=1)
-        tau = np.array([pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+        q, qd, qdd = sines(time_s, 0.4, omega, phase)
+        tau = torque_of(loaded, q, qd, qdd)
         scale = np.maximum(np.abs(tau).max(axis=0), 1.0)
         tau += 0.1 * scale * np.tanh(qd / 0.02) + 0.03 * scale * qd + 0.01 * scale * rng.normal(size=tau.shape)
         rows = make_table([label] * len(time_s), [MOVING] * len(time_s), q, tau, time=time_s, qd=qd, qdd=qdd)
         tables.append(replace(rows, run=np.array([str(number)] * len(time_s))))
         if not poses:
             continue
-        still, places = np.zeros(axes), np.tile(rng.uniform(-1.5, 1.5, (poses, axes)), (2, 1))
+        places = np.tile(rng.uniform(-1.5, 1.5, (poses, axes)), (2, 1))
         side = np.repeat([1.0, -1.0], poses)
-        held = np.array([pinocchio.rnea(model, data, place, still, still) for place in places])
+        held = torque_of(loaded, places)
         held += 0.1 * scale * side[:, None] + 0.002 * scale * rng.normal(size=held.shape)
         tables.append(make_table([label] * 2 * poses, np.tile(np.arange(poses), 2), places, held, direction=side))
     return concatenate(tables), robot_from_urdf(text, f"{axes} axes")

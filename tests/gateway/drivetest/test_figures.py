@@ -148,3 +148,6 @@ def test_the_page_shows_what_was_not_measured_and_what_failed():
     assert "no &lt;message&gt;" in html
     assert "20 [10, 30]" in html
     assert "not moved" in html
+    assert 'class="verdict open"' in render_drive_test("cell", "2026", [DriveTestReport("J1", 1, {}, [], [])]), (
+        "ended early"
+    )

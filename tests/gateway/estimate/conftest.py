@@ -3,11 +3,10 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-import pinocchio
 import pytest
 
 from gateway.model.robot import robot_from_urdf
-from tests.data.arms import peer_of
+from tests.data.arms import carrying, peer_of, torque_of
 from tests.support.rigs.tables import make_table
 
 # link: joint origin xyz, axis, mass, centre of mass
@@ -60,24 +59,12 @@ class Arm:
     def robot(self):
         return robot_from_urdf(self.text, "twelve.urdf")
 
-    def model(self, load=None, gravity=(0.0, 0.0, -9.80665)):
+    def model(self, load=None, gravity=(0.0, 0.0, -9.80665), inertia=((0.0,) * 3,) * 3):
         model, _ = peer_of(self.text, gravity)
-        if load is not None:
-            mass, *com = load
-            body = pinocchio.Inertia(mass, np.array(com), np.zeros((3, 3)))
-            model.appendBodyToJoint(model.nv, body, pinocchio.SE3.Identity())
-        return model
+        return model if load is None else carrying(model, load[0], load[1:], inertia)
 
     def gravity_torque(self, q, load=None, gravity=(0.0, 0.0, -9.80665)):
-        model = self.model(load, gravity)
-        data = model.createData()
-        return np.array([pinocchio.computeGeneralizedGravity(model, data, row).copy() for row in np.atleast_2d(q)])
-
-    def torque(self, q, qd, qdd, load=None):
-        model = self.model(load)
-        data = model.createData()
-        rows = zip(q, qd, qdd, strict=True)
-        return np.array([pinocchio.rnea(model, data, *row).copy() for row in rows])
+        return torque_of(self.model(load, gravity), np.atleast_2d(q))
 
 
 @pytest.fixture(scope="session")
@@ -96,7 +83,14 @@ def table_of():
     return make_table
 
 
-def make_measured(arm, poses, loads, rng=None, left=0.0, sides=(1, -1), bias=0.0):
+def value_of(load):
+    """Mass and centre of gravity of a load, and their standard deviations."""
+    return np.array([load.mass_kg, *load.com_m]), np.array([load.mass_std_kg, *load.com_std_m])
+
+
+def make_measured(
+    arm, poses, loads, rng=None, left=0.0, sides=(1, -1), bias=0.0, gravity=(0.0, 0.0, -9.80665), efficiency=1.0
+):
     """Two-sided rest table: pinocchio's gravity, a friction band, `left` of it scattered, `bias` of it common.
 
     loads: label -> (mass, x, y, z) or None for the unloaded arm
@@ -104,14 +98,15 @@ def make_measured(arm, poses, loads, rng=None, left=0.0, sides=(1, -1), bias=0.0
     rows = {"load": [], "pose": [], "q": [], "tau": [], "direction": []}
     band_nm = arm.band_nm
     for label, load in loads.items():
-        torque = arm.gravity_torque(poses, load)
+        torque = arm.gravity_torque(poses, load, gravity)
         for number, (q, tau) in enumerate(zip(poses, torque, strict=True)):
             for side in sides:
                 scatter = 0.0 if rng is None else left * band_nm * rng.standard_normal(len(band_nm)) * np.sqrt(2)
                 rows["load"].append(label)
                 rows["pose"].append(number)
                 rows["q"].append(q)
-                rows["tau"].append(tau + side * band_nm + bias * band_nm + scatter)
+                behind = tau + side * band_nm + bias * band_nm + scatter
+                rows["tau"].append(np.where(behind * side > 0, behind / efficiency, behind * efficiency))
                 rows["direction"].append(np.full(len(band_nm), side))
     return make_table(rows["load"], rows["pose"], rows["q"], rows["tau"], direction=np.array(rows["direction"]))
 

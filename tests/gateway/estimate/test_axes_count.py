@@ -10,7 +10,8 @@ from gateway.estimate import estimate, run
 from gateway.identify.knowledge import Knowledge
 from gateway.result.result import from_json, to_json
 from tests.cells import CELLS
-from tests.gateway.estimate.conftest import Arm, assert_same
+from tests.data.arms import sines, torque_of
+from tests.gateway.estimate.conftest import Arm, assert_same, value_of
 from tests.support.rigs.tables import make_table
 
 METHODS = ("joint", "difference", "posture")
@@ -28,17 +29,12 @@ def postures(arm, count=12):
     return np.random.default_rng(3).uniform(0.8 * robot.lower_rad, 0.8 * robot.upper_rad, (count, robot.axes))
 
 
-def value_of(found):
-    load = found.loads[0]
-    return np.concatenate([[load.mass_kg], load.com_m]), np.concatenate([[load.mass_std_kg], load.com_std_m])
-
-
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("link_std", [np.inf, 0.05, 0.0])
 def test_exact_without_noise(arm, measured, method, link_std):
     table = measured(arm, postures(arm), {"none": None, "tool": LOAD})
     found = estimate(table, arm.robot, Knowledge(link_std=link_std), method)
-    assert_same(value_of(found), LOAD)
+    assert_same(value_of(found.loads[0]), LOAD)
     assert found.loads[0].unidentifiable == ()
     assert found.rows.rms_nm.shape == (arm.robot.axes,)
 
@@ -49,7 +45,7 @@ def test_intervals_hold_the_truth(arm, measured, method):
     rng, inside = np.random.default_rng(5), []
     for _ in range(20):
         table = measured(arm, postures(arm, 8), {"none": None, "tool": LOAD}, rng, left=0.15)
-        value, std = value_of(estimate(table, arm.robot, Knowledge(link_std=np.inf), method))
+        value, std = value_of(estimate(table, arm.robot, Knowledge(link_std=np.inf), method).loads[0])
         inside.append(np.abs(value - LOAD) < 1.96 * std)
     assert 0.86 < np.mean(inside) <= 1.0
 
@@ -70,18 +66,16 @@ def test_a_table_and_a_result_of_that_many_axes_come_back(arm, measured, tmp_pat
     assert len(again.bare.combination[0]) == 4 * axes
     stored = Knowledge(link_std=np.inf, bare=again.bare)
     loaded = read.take(read.load == "tool")
-    np.testing.assert_allclose(value_of(estimate(loaded, arm.robot, stored, "posture"))[0], LOAD, rtol=1e-3, atol=1e-4)
+    found = estimate(loaded, arm.robot, stored, "posture").loads[0]
+    np.testing.assert_allclose(value_of(found)[0], LOAD, rtol=1e-3, atol=1e-4)
 
 
 def test_a_moving_run_gives_the_load(arm):
     robot = arm.robot
     time = np.linspace(0.0, 20.0, 1500)
-    rate = np.linspace(0.7, 1.9, robot.axes)
-    size = 0.5 * np.minimum(robot.upper_rad, 1.5)
-    q = size * np.sin(np.outer(time, rate) + np.arange(robot.axes))
-    qd = size * rate * np.cos(np.outer(time, rate) + np.arange(robot.axes))
-    qdd = -(q * rate**2)
-    tau = [arm.torque(q, qd, qdd, load) + 5.0 * np.tanh(qd / 0.02) + 2.0 * qd for load in (None, LOAD)]
+    size, rate = 0.5 * np.minimum(robot.upper_rad, 1.5), np.linspace(0.7, 1.9, robot.axes)[None]
+    q, qd, qdd = sines(time, size, rate, np.arange(robot.axes))
+    tau = [torque_of(arm.model(load), q, qd, qdd) + 5.0 * np.tanh(qd / 0.02) + 2.0 * qd for load in (None, LOAD)]
     table = make_table(
         ["none"] * 1500 + ["tool"] * 1500, np.full(3000, -1), np.tile(q, (2, 1)), np.concatenate(tau),
         time=np.tile(time, 2), qd=np.tile(qd, (2, 1)), qdd=np.tile(qdd, (2, 1)),
@@ -89,7 +83,7 @@ def test_a_moving_run_gives_the_load(arm):
     )  # fmt: skip
     found = estimate(table, robot, Knowledge(link_std=np.inf), "joint")
     assert found.method == "moving"
-    np.testing.assert_allclose(value_of(found)[0], LOAD, rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(value_of(found.loads[0])[0], LOAD, rtol=2e-3, atol=2e-3)
     assert found.band_nm.shape == (robot.axes,)
 
 

@@ -10,15 +10,14 @@ from gateway.errors import ConfigError, DataUnusable, GatewayError, InputError
 from gateway.estimate import estimate, run
 from gateway.identify.knowledge import Knowledge
 from gateway.result.result import from_json, to_json
-from tests.gateway.estimate.conftest import assert_same
+from tests.gateway.estimate.conftest import assert_same, value_of
 
 TOOL = (8.0, 0.12, -0.03, 0.05)
 METHODS = ("joint", "difference", "posture")
 
 
-def value_of(found, label="tool"):
-    load = next(load for load in found.loads if load.label == label)
-    return np.concatenate([[load.mass_kg], load.com_m]), np.concatenate([[load.mass_std_kg], load.com_std_m])
+def tool_of(found, label="tool"):
+    return value_of(next(load for load in found.loads if load.label == label))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -26,28 +25,18 @@ def value_of(found, label="tool"):
 def test_exact_without_noise(arm, poses, measured, method, link_std):
     table = measured(arm, poses, {"none": None, "tool": TOOL})
     found = estimate(table, arm.robot, Knowledge(link_std=link_std), method)
-    assert_same(value_of(found), TOOL)
+    assert_same(tool_of(found), TOOL)
     assert found.loads[0].unidentifiable == ()
     np.testing.assert_allclose(found.rows.rms_nm, 0, atol=2e-4)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_gravity_from_the_wall_and_gear_efficiency(arm, poses, table_of, method, band_nm):
+def test_gravity_from_the_wall_and_gear_efficiency(arm, poses, measured, method, band_nm):
     gravity, eta = (9.80665, 0.0, 0.0), np.array([0.8, 0.75, 0.9, 0.85, 0.8, 0.7])
-    rows = {"load": [], "pose": [], "q": [], "tau": [], "direction": []}
-    for label, load in (("none", None), ("tool", TOOL)):
-        for number, torque in enumerate(arm.gravity_torque(poses, load, gravity)):
-            for side in (1, -1):
-                behind = torque + side * band_nm
-                rows["tau"].append(np.where(behind * side > 0, behind / eta, behind * eta))
-                rows["load"].append(label)
-                rows["pose"].append(number)
-                rows["q"].append(poses[number])
-                rows["direction"].append(np.full(6, side))
-    table = table_of(rows["load"], rows["pose"], rows["q"], rows["tau"], direction=np.array(rows["direction"]))
+    table = measured(arm, poses, {"none": None, "tool": TOOL}, gravity=gravity, efficiency=eta)
     options = Knowledge(link_std=np.inf, gravity_m_s2=gravity, efficiency=tuple(eta))
     found = estimate(table, arm.robot, options, method)
-    assert_same(value_of(found), TOOL)
+    assert_same(tool_of(found), TOOL)
     np.testing.assert_allclose(found.band_nm, band_nm, rtol=1e-6)
 
 
@@ -55,7 +44,7 @@ def test_gravity_from_the_wall_and_gear_efficiency(arm, poses, table_of, method,
 def test_the_order_of_the_rows_does_not_matter(arm, poses, measured, method):
     table = measured(arm, poses, {"none": None, "tool": TOOL}, np.random.default_rng(0), left=0.1)
     mixed = table.take(np.random.default_rng(1).permutation(len(table)))
-    one, two = (value_of(estimate(part, arm.robot, Knowledge(link_std=np.inf), method)) for part in (table, mixed))
+    one, two = (tool_of(estimate(part, arm.robot, Knowledge(link_std=np.inf), method)) for part in (table, mixed))
     np.testing.assert_allclose(one[0], two[0], rtol=1e-6)
     np.testing.assert_allclose(one[1], two[1], rtol=1e-3)
 
@@ -68,7 +57,7 @@ def test_intervals_hold_the_truth(arm, poses, measured, method):
     inside = []
     for _ in range(30):
         table = measured(arm, poses[:8], {"none": None, "tool": TOOL}, rng, left=0.15)
-        value, std = value_of(estimate(table, arm.robot, Knowledge(link_std=np.inf), method))
+        value, std = tool_of(estimate(table, arm.robot, Knowledge(link_std=np.inf), method))
         inside.append(np.abs(value - TOOL) < 1.96 * std)
     # of the errors of gains and biases that the intervals allow for these tables have none
     assert np.mean(inside) > 0.88
@@ -81,7 +70,7 @@ def test_a_known_first_load_replaces_the_unloaded_arm(arm, poses, measured, meth
     options = Knowledge(link_std=0.0 if method == "posture" else np.inf, known={"first": first})
     found = estimate(table, arm.robot, options, method)
     assert [load.label for load in found.loads] == ["tool"]
-    assert_same(value_of(found), TOOL)
+    assert_same(tool_of(found), TOOL)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -89,8 +78,8 @@ def test_several_loads_at_once(arm, poses, measured, method):
     other = (2.0, 0.0, 0.1, 0.02)
     table = measured(arm, poses, {"none": None, "a": TOOL, "b": other})
     found = estimate(table, arm.robot, Knowledge(link_std=np.inf), method)
-    assert_same(value_of(found, "a"), TOOL)
-    assert_same(value_of(found, "b"), other)
+    assert_same(tool_of(found, "a"), TOOL)
+    assert_same(tool_of(found, "b"), other)
 
 
 @pytest.mark.parametrize("method", METHODS)

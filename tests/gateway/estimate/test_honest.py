@@ -14,6 +14,7 @@ from gateway.estimate.joint import estimate_joint
 from gateway.estimate.posture import estimate_posture
 from gateway.identify.knowledge import Knowledge
 from gateway.model.visits import pair_visits
+from tests.gateway.estimate.conftest import value_of
 
 BY_METHOD = {"joint": estimate_joint, "difference": estimate_difference, "posture": estimate_posture}
 SEEDS = 80
@@ -68,8 +69,7 @@ def measured_by(nature, gravity, poses, band_nm, table_of, rng):
 
 
 def inside(found):
-    load = found.loads[0]
-    value, std = np.append(load.mass_kg, load.com_m), np.append(load.mass_std_kg, load.com_std_m)
+    value, std = value_of(found.loads[0])
     return np.abs(value - TRUTH) < 1.96 * std
 
 
@@ -124,22 +124,14 @@ def test_a_usual_loss_is_not_named(arm, poses, gravity, band_nm, table_of):
 
 
 @pytest.mark.slow
-def test_a_known_mass_shrinks_gains_and_mass(arm, poses, band_nm, table_of):
+def test_a_known_mass_shrinks_gains_and_mass(arm, poses, measured):
     other = (12.0, 0.0, 0.05, 0.1)
-    both = np.array([arm.gravity_torque(poses[:8], load) for load in (None, TRUTH, other)])
     alone, beside = [], []
     for seed in range(6):
         rng = np.random.default_rng([seed, 6])
         gain = 1.0 + 0.03 * rng.standard_normal(6)
-        rows = {"load": [], "pose": [], "q": [], "tau": [], "direction": []}
-        for label, torque in zip(("none", "tool", "weight"), gain * both, strict=True):
-            for number, side in ((k, side) for k in range(8) for side in (1.0, -1.0)):
-                rows["load"].append(label)
-                rows["pose"].append(number)
-                rows["q"].append(poses[number])
-                rows["tau"].append(torque[number] + side * band_nm * (1 + 0.02 * rng.standard_normal(6)))
-                rows["direction"].append(np.full(6, side))
-        table = table_of(rows["load"], rows["pose"], rows["q"], rows["tau"], direction=np.array(rows["direction"]))
+        table = measured(arm, poses[:8], {"none": None, "tool": TRUTH, "weight": other}, rng, left=0.014)
+        table = replace(table, tau_nm=gain * table.tau_nm)
         without = table.take(table.load != "weight")
         alone.append(estimate(without, arm.robot, Knowledge(link_std=np.inf)))
         beside.append(estimate(table, arm.robot, Knowledge(link_std=np.inf, known={"weight": other})))

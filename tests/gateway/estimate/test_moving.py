@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pinocchio
 import pytest
 
 from gateway.data.rows import concatenate
@@ -15,6 +14,7 @@ from gateway.estimate.moving_estimate import estimate_moving
 from gateway.identify.knowledge import Knowledge, WeighedLoad
 from gateway.identify.motion.columns import MovingSetup
 from gateway.model.robot import robot_from_urdf
+from tests.data.arms import sines, torque_of
 from tests.data.moving_arm import World, measured, several
 
 COULOMB = np.array([20.0, 25.0, 15.0, 4.0, 3.0, 2.0])
@@ -30,18 +30,12 @@ def motion_of(seed, n=400, rate_hz=50.0):
     time = np.arange(n) / rate_hz
     wave = 2 * np.pi * rng.uniform(0.2, 0.7, (3, 6))
     size, phase = rng.uniform(0.2, 0.6, (3, 6)), rng.uniform(0, 6, (3, 6))
-    angle = time[:, None, None] * wave + phase
-    return (
-        time,
-        (size * np.sin(angle)).sum(axis=1),
-        (size * wave * np.cos(angle)).sum(axis=1),
-        -(size * wave**2 * np.sin(angle)).sum(axis=1),
-    )
+    return time, *sines(time, size, wave, phase)
 
 
-def moving_table(arm, table_of, label="none", load=None, seed=0, noise=0.0):
+def moving_table(arm, table_of, label="none", load=None, seed=0, noise=0.0, inertia=((0.0,) * 3,) * 3):
     time, q, qd, qdd = motion_of(seed)
-    tau = arm.torque(q, qd, qdd, load)
+    tau = torque_of(arm.model(load, inertia=inertia), q, qd, qdd)
     tau += COULOMB * np.tanh(qd / 0.02) + VISCOUS * qd + ROTOR * qdd + OFFSET * (load is None)
     tau += noise * np.random.default_rng(seed + 100).normal(size=tau.shape)
     n = len(time)
@@ -202,23 +196,9 @@ def test_measured_run_of_a_kr300(measured_data):
 INERTIA = np.array([0.11, 0.08, 0.15, 0.01, -0.02, 0.015])
 
 
-def with_inertia(arm, q, qd, qdd, tau):
-    """Torque with the inertia of the load beside its mass."""
-    xx, yy, zz, xy, xz, yz = INERTIA
-    body = pinocchio.Inertia(0.0, np.zeros(3), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-    _, com = TOOL[0], np.array(TOOL[1:])
-    model = arm.model()
-    for joint in range(1, 7):
-        model.inertias[joint] = pinocchio.Inertia.Zero()
-    model.appendBodyToJoint(6, body, pinocchio.SE3(np.eye(3), com))
-    model.gravity.linear = np.zeros(3)
-    data = model.createData()
-    return tau + np.array([pinocchio.rnea(model, data, *row).copy() for row in zip(q, qd, qdd, strict=True)])
-
-
 def test_all_ten_parameters_of_a_load_come_back_without_noise(arm, table_of):
-    bare, loaded = moving_table(arm, table_of), moving_table(arm, table_of, "tool", TOOL, seed=1)
-    loaded = replace(loaded, tau_nm=with_inertia(arm, loaded.q_rad, loaded.qd_rad_s, loaded.qdd_rad_s2, loaded.tau_nm))
+    tensor = INERTIA[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+    bare, loaded = moving_table(arm, table_of), moving_table(arm, table_of, "tool", TOOL, seed=1, inertia=tensor)
     bare = replace(bare, tau_nm=bare.tau_nm - OFFSET)
     options = Knowledge(link_std=np.inf, gain_std=(0.0,) * 6)
     load = run(concatenate([bare, loaded]), arm.robot, options).loads[0]

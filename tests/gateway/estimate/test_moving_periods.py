@@ -3,16 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
-import pinocchio
 import pytest
 
 from gateway.data.periods import MOTION_HZ
 from gateway.data.rows import MOVING, concatenate
+from gateway.errors import DataUnusable
 from gateway.estimate import estimate, run
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.columns import MovingSetup, moving_columns
-from gateway.model.robot import link_lengths_m
-from tests.data.arms import peer_of
+from gateway.model.robot import link_lengths_m, robot_from_urdf
+from tests.data.arms import carrying, peer_of, sines, torque_of
+from tests.data.moving_arm import as_period, coloured
 from tests.gateway.estimate.conftest import urdf
 from tests.support.rigs.tables import make_table
 
@@ -25,32 +26,29 @@ ROTOR = np.array([8.0, 8.0, 5.0, 1.0, 0.6, 0.3])
 DELAY = np.array([0.004, 0.003, 0.006, 0.002, 0.005, 0.004])
 LOSS = 0.04
 PERIOD_S, RATE_HZ = 8.0, 100.0
+PHASE_S = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
 EXACT = Knowledge(link_std=0.0, gain_std=(0.0,) * 6)
 
 
 def states(time_s):
     """A series of five harmonics, all joints, at any time."""
     rng = np.random.default_rng(3)
-    rate = 2 * np.pi * np.arange(1, 6) / PERIOD_S
-    size, phase = rng.uniform(0.1, 0.35, (5, 6)), rng.uniform(0, 6, (5, 6))
-    angle = time_s[:, None, None] * rate[:, None] + phase
-    return (
-        (size * np.sin(angle)).sum(axis=1),
-        (size * rate[:, None] * np.cos(angle)).sum(axis=1),
-        -(size * rate[:, None] ** 2 * np.sin(angle)).sum(axis=1),
-    )
+    rate = 2 * np.pi * np.arange(1, 6)[:, None] / PERIOD_S
+    return sines(time_s, rng.uniform(0.1, 0.35, (5, 6)), rate, rng.uniform(0, 6, (5, 6)))
+
+
+def model_of(loaded):
+    """Pinocchio's model of the arm, with the load or without."""
+    model, _ = peer_of(urdf())
+    return carrying(model, MASS, COM, TENSOR) if loaded else model
 
 
 def torque(time_s, loaded, delay_s):
     """What drives report that lag, each axis by its own delay."""
     out = np.empty((len(time_s), 6))
-    model, data = peer_of(urdf())
-    if loaded:
-        model.appendBodyToJoint(6, pinocchio.Inertia(MASS, COM, TENSOR), pinocchio.SE3.Identity())
-        data = model.createData()
     for axis, delay in enumerate(delay_s):
         q, qd, qdd = states(time_s - delay)
-        rigid = np.array([pinocchio.rnea(model, data, *row)[axis] for row in zip(q, qd, qdd, strict=True)])
+        rigid = torque_of(model_of(loaded), q, qd, qdd)[:, axis]
         speed = qd[:, axis]
         dry = (COULOMB[axis] + LOSS * np.abs(rigid)) * np.tanh(speed / 0.02)
         out[:, axis] = rigid + dry + VISCOUS[axis] * speed + ROTOR[axis] * qdd[:, axis]
@@ -60,45 +58,27 @@ def torque(time_s, loaded, delay_s):
 @pytest.fixture(scope="module")
 def clean():
     """One period of the torque of the bare and of the loaded arm, lagging."""
-    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
-    return {label: torque(time, label == "tool", DELAY) for label in ("none", "tool")}
+    return {label: torque(PHASE_S, label == "tool", DELAY) for label in ("none", "tool")}
 
 
-def coloured(rng, shape, keep):
-    out = rng.normal(size=shape)
-    for row in range(1, len(out)):
-        out[row] = keep * out[row - 1] + np.sqrt(1 - keep**2) * out[row]
-    return out
-
-
-def table_of_periods(tau, noise_nm=0.0, periods=3, seed=0, keep=0.8, begin=0.0):
+def table_of_periods(tau, noise_nm=0.0, periods=3, seed=0):
     """Periods one after the other: `tau` label -> (n, 6)."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
+    rng, count = np.random.default_rng(seed), len(PHASE_S)
+    q, qd, qdd = states(PHASE_S)
     parts = []
     for label, clean in tau.items():
+        one = make_table(
+            [label] * count, [MOVING] * count, q, clean,
+            time=PHASE_S - PERIOD_S, qd=qd, qdd=qdd, run=[label] * count,
+        )  # fmt: skip
         for period in range(1, periods + 1):
-            count = len(time)
-            parts.append(
-                make_table(
-                    [label] * count, [MOVING] * count, states(time)[0],
-                    clean + noise_nm * coloured(rng, clean.shape, keep),
-                    time=begin + time + (period - 1) * PERIOD_S, qd=states(time)[1], qdd=states(time)[2],
-                    run=[label] * count,
-                    extra={
-                        "x_excitation": np.full(count, 7.0),
-                        "x_period": np.full(count, float(period)),
-                        "x_phase_s": time,
-                    },
-                )
-            )  # fmt: skip
+            torque = clean + noise_nm * coloured(rng, clean.shape, RATE_HZ)
+            parts.append(as_period(one, torque, 7.0, period, PERIOD_S))
     return concatenate(parts)
 
 
 @pytest.fixture(scope="module")
 def robot():
-    from gateway.model.robot import robot_from_urdf
-
     return robot_from_urdf(urdf(), "twelve.urdf")
 
 
@@ -153,8 +133,7 @@ def test_intervals_hold_under_coloured_noise(clean, robot):
 
 def test_friction_that_differs_between_runs_is_that_of_the_arm(clean, robot):
     """Levels of 10 % in each run; the scatter follows from all axes, and without one the intervals stay narrow."""
-    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
-    dry = COULOMB * np.tanh(np.column_stack([states(time - delay)[1][:, k] for k, delay in enumerate(DELAY)]) / 0.02)
+    dry = COULOMB * np.tanh(np.column_stack([states(PHASE_S - delay)[1][:, k] for k, delay in enumerate(DELAY)]) / 0.02)
     level = 0.1 * np.random.default_rng(8).normal(size=(2, 6))
     runs = {label: tau + share * dry for (label, tau), share in zip(clean.items(), level, strict=True)}
     equal, scattered = (run(table_of_periods(tau, 0.3, seed=2), robot, EXACT) for tau in (clean, runs))
@@ -169,8 +148,7 @@ def test_friction_that_differs_between_runs_is_that_of_the_arm(clean, robot):
 
 def test_torque_is_filtered_as_the_motion_is(clean, robot):
     """An oscillation above the band of the motion widens no interval."""
-    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
-    swing = 0.5 * COULOMB * np.sin(2 * np.pi * 12.0 * time)[:, None]
+    swing = 0.5 * COULOMB * np.sin(2 * np.pi * 12.0 * PHASE_S)[:, None]
     table = table_of_periods({label: tau + swing for label, tau in clean.items()}, 0.1)
     said = replace(table, extra={**table.extra, MOTION_HZ: np.full(len(table), 10.0)})
     plain, filtered = (run(one, robot, EXACT) for one in (table, said))
@@ -187,8 +165,7 @@ def falling(time_s, share, speed_rad_s, power):
 
 @pytest.mark.parametrize(("speed_rad_s", "power"), [(0.02, 1.0), (0.06, 1.0), (0.03, 2.0), (0.08, 1.5)])
 def test_a_fall_from_breakaway_of_any_shape_is_not_taken_for_coulomb_friction(clean, robot, speed_rad_s, power):
-    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
-    more = falling(time, 0.4, speed_rad_s, power)
+    more = falling(PHASE_S, 0.4, speed_rad_s, power)
     table = table_of_periods({label: tau + more for label, tau in clean.items()}, noise_nm=1.5, seed=4)
     result = run(table, robot, EXACT)
     truths = {"coulomb_{}nm": COULOMB, "viscous_{}nm_s_rad": VISCOUS}
@@ -256,10 +233,9 @@ def test_one_period_is_reported_to_determine_no_noise(clean, robot):
 
 
 def test_a_drive_with_a_delay_is_named(clean, robot):
-    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
     delay = DELAY.copy()
     delay[2] = 0.04
-    tau = {label: torque(time, label == "tool", delay) for label in ("none", "tool")}
+    tau = {label: torque(PHASE_S, label == "tool", delay) for label in ("none", "tool")}
     result = run(table_of_periods(tau, 0.1), robot, EXACT)
     assert numbers(result, "delay_s")[2] == pytest.approx(0.04, abs=0.003)
     (said,) = [finding for finding in result.findings if "after the position" in finding.what]
@@ -267,8 +243,6 @@ def test_a_drive_with_a_delay_is_named(clean, robot):
 
 
 def test_a_motion_that_was_sampled_too_slowly_is_refused(clean, robot):
-    from gateway.errors import DataUnusable
-
     table = table_of_periods(clean)
     few = table.take(np.arange(0, len(table), 100))
     with pytest.raises(DataUnusable, match="sampled"):
@@ -276,8 +250,6 @@ def test_a_motion_that_was_sampled_too_slowly_is_refused(clean, robot):
 
 
 def test_speeds_in_degrees_are_refused(clean, robot):
-    from gateway.errors import DataUnusable
-
     table = table_of_periods(clean)
     with pytest.raises(DataUnusable, match="speed"):
         run(replace(table, qd_rad_s=np.degrees(table.qd_rad_s)), robot, EXACT)
@@ -285,11 +257,7 @@ def test_speeds_in_degrees_are_refused(clean, robot):
 
 def rest_table(clean_q, label, load, band=2.0):
     """Rest poses of both sides: pinocchio's gravity and a friction band."""
-    model, data = peer_of(urdf())
-    if load:
-        model.appendBodyToJoint(6, pinocchio.Inertia(MASS, COM, TENSOR), pinocchio.SE3.Identity())
-        data = model.createData()
-    tau = np.array([pinocchio.computeGeneralizedGravity(model, data, q).copy() for q in clean_q])
+    tau = torque_of(model_of(load), clean_q)
     rng = np.random.default_rng(2)
     count = len(clean_q)
     sides = []

@@ -6,14 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio
 import pytest
 
 from gateway.data.rows import Table, concatenate
 from gateway.estimate import estimate
 from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
-from tests.data.arms import peer_of
+from tests.data.arms import carrying, peer_of, sines, torque_of
+from tests.data.moving_arm import as_period
 from tests.support.rigs.tables import make_table
 
 TEXT = (Path(__file__).parents[3] / "examples" / "small" / "robot.urdf").read_text(encoding="utf-8")
@@ -30,12 +30,7 @@ PRECISE = Knowledge(link_std=np.inf, gain_std=(0.003,) * 6)
 def torque_nm(load: str, q, qd=None, qdd=None) -> np.ndarray:
     """Torque [Nm] of the arm, loaded unless `load` is none."""
     model, _ = peer_of(TEXT)
-    if load != "none":
-        body = pinocchio.Inertia(LOAD[0], np.array(LOAD[1:]), 0.02 * np.eye(3))
-        model.appendBodyToJoint(model.nv, body, pinocchio.SE3.Identity())
-    data, still = model.createData(), np.zeros_like(q)
-    speeds = zip(q, still if qd is None else qd, still if qdd is None else qdd, strict=True)
-    return np.array([pinocchio.rnea(model, data, *row).copy() for row in speeds])
+    return torque_of(model if load == "none" else carrying(model, LOAD[0], LOAD[1:], 0.02 * np.eye(3)), q, qd, qdd)
 
 
 def rest(load: str, run: str, gain=0.0, start_s=0.0, q=POSES, first=0, bias_nm=0.0, seed=0) -> Table:
@@ -58,12 +53,8 @@ def motion(load: str, run: str, gain=0.0, start_s=0.0) -> Table:
     """Rows of one occasion in motion, 12 s of sines."""
     rng, time = np.random.default_rng([1, len(load)]), np.arange(600) * 0.02
     rate = 2 * np.pi / 12.0 * np.arange(1, 6)[:, None]
-    size, phase = np.random.default_rng(3).uniform(0.1, 0.4, (5, 1, 6)), np.arange(30).reshape(5, 1, 6)
-    angle = (rate * time)[:, :, None] + phase
-    speed, rate = rate[:, :, None], 0.0
-    q, qd, qdd = (
-        np.sum(size * value, axis=0) for value in (np.sin(angle), speed * np.cos(angle), -(speed**2) * np.sin(angle))
-    )
+    size, phase = np.random.default_rng(3).uniform(0.1, 0.4, (5, 6)), np.arange(30).reshape(5, 6)
+    q, qd, qdd = sines(time, size, rate, phase)
     noise = 0.02 * BAND_NM * rng.standard_normal(q.shape)
     tau = torque_nm(load, q, qd, qdd) + 0.3 * BAND_NM * np.tanh(qd / 0.02) + 0.2 * BAND_NM * qd + noise
     return make_table(
@@ -79,13 +70,10 @@ def both(load: str, run: str, gain=0.0, start_s=0.0) -> Table:
 
 def periods(load: str, run: str, gain=0.0, start_s=0.0) -> Table:
     """Three periods of one excitation, as a recording has them."""
-    parts, rng = [], np.random.default_rng([2, len(run)])
+    parts, rng, one = [], np.random.default_rng([2, len(run)]), motion(load, run, gain, start_s)
     for number in range(3):
-        one = motion(load, run, gain, start_s + 12.0 * number)
         noisy = one.tau_nm + 0.02 * BAND_NM * rng.standard_normal(one.tau_nm.shape)
-        count = np.ones(len(one))
-        marks = {"x_excitation": 7.0 * count, "x_period": number * count, "x_phase_s": np.arange(len(one)) * 0.02}
-        parts.append(replace(one, tau_nm=noisy, extra=marks))
+        parts.append(as_period(one, noisy, 7.0, number, 12.0))
     return concatenate(parts)
 
 

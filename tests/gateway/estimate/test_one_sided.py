@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
 from gateway.diagnose import diagnose
 from gateway.estimate import run
 from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import robot_from_urdf
-from tests.data.arms import peer_of, urdf_of
+from tests.data.arms import carrying, peer_of, torque_of, urdf_of
 from tests.support.rigs.tables import make_table
 
 MASS, COM = 8.0, np.array([0.05, -0.03, 0.08])
@@ -27,15 +26,11 @@ def table(seed: int, sides: str):
     """
     rng = np.random.default_rng(seed)
     text = urdf_of(rng)
-    model, data = peer_of(text)
-    bare = pinocchio.Inertia(model.inertias[6])
-    poses, still = rng.uniform(-2.5, 2.5, (POSES, 6)), np.zeros(6)
+    bare, _ = peer_of(text)
+    poses = rng.uniform(-2.5, 2.5, (POSES, 6))
     rows, torque, direction = [], [], []
     for label in ("none", "tool"):
-        tool = pinocchio.Inertia(MASS, COM, 0.01 * MASS * np.eye(3))
-        model.inertias[6] = bare if label == "none" else bare + tool
-        for number, q in enumerate(poses):
-            tau = pinocchio.rnea(model, data, q, still, still)
+        for number, tau in enumerate(torque_of(bare if label == "none" else carrying(bare, MASS, COM), poses)):
             side = np.sign(tau) if sides == "lifting" else np.where(rng.random(6) < 0.5, 1.0, -1.0)
             torque.append(tau + side * (BAND + LOSS * np.abs(tau)) + 0.01 * rng.standard_normal(6))
             direction.append(side)

@@ -22,7 +22,7 @@ from gateway.feedforward.load import assumed_load
 from gateway.identify.links import body_parameters
 from gateway.model.arm_model import robot_text
 from gateway.model.kinematics import link_frames
-from tests.data.arms import link_parameters, peer_of
+from tests.data.arms import link_parameters, peer_of, torque_of
 
 PERIOD_S, PERIODS, INSTANTS = 8.0, 3, 80
 LOAD = replace(assumed_load("tool", 5.0, np.array([0.03, -0.02, 0.1]), ""), inertia_kg_m2=np.diag([0.06, 0.05, 0.03]))
@@ -63,7 +63,7 @@ def test_expected_load_stds_are_those_of_least_squares_on_drawn_noise(
     independent = PERIODS * PERIOD_S / 0.1 / INSTANTS
     std = noise.std_nm / np.maximum(moves, 1e-9) * np.sqrt(2.0 / independent)
     lost = columns @ truth
-    bare = np.array([pinocchio.rnea(model, data, *row) for row in rows])
+    bare = torque_of(model, states.q_rad, states.qd_rad_s, states.qdd_rad_s2)
     lost = (np.abs(bare + lost) - np.abs(bare)) * np.tanh(states.qd_rad_s / 0.02)
     gain = (columns @ truth)[:, :, None] * np.eye(6)
     design = np.concatenate([columns, gain, lost[:, :, None] * np.eye(6)], axis=2) / std[:, :, None]

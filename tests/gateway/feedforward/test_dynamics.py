@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import pinocchio
 import pytest
 
 from gateway.feedforward.dynamics import ArmDynamics
@@ -13,7 +12,7 @@ from gateway.feedforward.load import FeedLoad
 from gateway.model.regressor import regressor
 from gateway.model.robot import robot_from_urdf
 from tests.cells import CELLS
-from tests.data.arms import link_parameters, peer_of, states
+from tests.data.arms import carrying, link_parameters, peer_of, states, torque_of
 
 GRAVITY = (1.5, -2.0, -9.0)
 
@@ -26,18 +25,16 @@ def torques(dynamics, q, qd, qdd):
 def test_torque_agrees_with_pinocchio(random_urdf, seed):
     text = random_urdf(seed)
     robot = robot_from_urdf(text, "random.urdf")
-    model, data = peer_of(text, GRAVITY)
     q, qd, qdd = states(seed, 30)
-    expected = [pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)]
+    expected = torque_of(peer_of(text, GRAVITY)[0], q, qd, qdd)
     found = torques(ArmDynamics(robot, link_parameters(robot), GRAVITY), q, qd, qdd)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-9)
 
 
 @pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.name)
 def test_torque_of_an_arm_that_has_not_six_axes_agrees_with_pinocchio(cell):
-    model, data = peer_of(cell.urdf, GRAVITY)
     q, qd, qdd = states(1, 30, cell.axes)
-    expected = [pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)]
+    expected = torque_of(peer_of(cell.urdf, GRAVITY)[0], q, qd, qdd)
     dynamics = ArmDynamics(cell.robot, link_parameters(cell.robot), GRAVITY)
     assert dynamics.axes == cell.axes
     np.testing.assert_allclose(torques(dynamics, q, qd, qdd), expected, rtol=1e-10, atol=1e-9)
@@ -53,16 +50,12 @@ def test_torque_agrees_with_the_rows_for_any_parameters(random_urdf):
 
 def test_a_load_is_a_body_fixed_to_link_6(random_urdf):
     load = FeedLoad("a", 7.0, np.array([0.1, -0.05, 0.3]), np.diag([0.2, 0.3, 0.4]), "test", "test")
-    inertial = (
-        '<inertial><origin xyz="0.1 -0.05 0.3"/><mass value="7"/>'
-        '<inertia ixx="0.2" ixy="0" ixz="0" iyy="0.3" iyz="0" izz="0.4"/></inertial>'
-    )
-    model, data = peer_of(random_urdf(5, inertial), GRAVITY)
+    model = carrying(peer_of(random_urdf(5), GRAVITY)[0], load.mass_kg, load.com_m, load.inertia_kg_m2)
     robot = robot_from_urdf(random_urdf(5), "random.urdf")
     parameters = link_parameters(robot)
     parameters[50:] += load.parameters
     q, qd, qdd = states(5, 20)
-    expected = [pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)]
+    expected = torque_of(model, q, qd, qdd)
     found = torques(ArmDynamics(robot, parameters, GRAVITY), q, qd, qdd)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-9)
 

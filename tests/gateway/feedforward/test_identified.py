@@ -91,9 +91,9 @@ def test_what_was_identified_comes_before_what_was_typed_with_file_and_date(cell
     assert known[0].coulomb_nm is None
 
 
-def test_a_cell_that_names_no_result_keeps_what_is_typed(large, qh165):
-    assert read_identified(large, large.cell.arm[0], qh165) is None
-    assert constants(large, qh165)[1].rotor_kg_m2.value == 305.0
+def test_a_cell_that_names_no_result_keeps_what_is_typed(large_cell, qh165):
+    assert read_identified(large_cell, large_cell.cell.arm[0], qh165) is None
+    assert constants(large_cell, qh165)[1].rotor_kg_m2.value == 305.0
 
 
 @pytest.mark.parametrize(
@@ -220,14 +220,14 @@ BODY = LoadResult("a", 70.0, 0.2, (0.05, -0.02, 0.22), (0.001,) * 3, inertia_kg_
 ROTATED = np.array([[2.0, 0.4, -0.3], [0.4, 3.0, 0.2], [-0.3, 0.2, 1.5]])
 
 
-def test_the_identified_inertia_of_a_load_moves_the_arm_as_pinocchio_says(large, qh165):
+def test_the_identified_inertia_of_a_load_moves_the_arm_as_pinocchio_says(large_cell, qh165):
     """Off-diagonals, frame and centre: torque of the arm with the body on its last link."""
     load = identified_load(identified_axes(loads=(BODY,)), None, "result.json")
     assert load.inertia_source == SOURCE
-    parameters = drawn_parameters(qh165, large.cell.arm[0])
+    parameters = drawn_parameters(qh165, large_cell.cell.arm[0])
     parameters[50:] += load.parameters
     model = pinocchio.buildModelFromUrdf(str(EXAMPLES / "large" / "robot.urdf"))
-    model.gravity.linear = np.array(large.cell.arm[0].gravity_m_s2)
+    model.gravity.linear = np.array(large_cell.cell.arm[0].gravity_m_s2)
     body = pinocchio.Inertia(70.0, np.array([0.05, -0.02, 0.22]), ROTATED)
     model.appendBodyToJoint(6, body, pinocchio.SE3.Identity())
     data, random = model.createData(), np.random.default_rng(4)

@@ -66,15 +66,15 @@ def test_what_is_no_identified_load_is_refused(held, label, error, words):
         ({"data": Drawn(arm="left")}, "arm 'left'"),
     ],
 )
-def test_the_load_of_another_arm_is_refused(large, qh165, changes, words):
-    arm = large.cell.arm[0]
-    check_origin(result(LOAD), large, arm, qh165, "r.json")
+def test_the_load_of_another_arm_is_refused(large_cell, qh165, changes, words):
+    arm = large_cell.cell.arm[0]
+    check_origin(result(LOAD), large_cell, arm, qh165, "r.json")
     with pytest.raises(InputError, match=words):
-        check_origin(result(LOAD, **changes), large, arm, qh165, "r.json")
+        check_origin(result(LOAD, **changes), large_cell, arm, qh165, "r.json")
 
 
-def test_the_maximum_is_the_rated_load_else_the_heaviest_else_refused(large, qh165):
-    arm = large.cell.arm[0]
+def test_the_maximum_is_the_rated_load_else_the_heaviest_else_refused(large_cell, qh165):
+    arm = large_cell.cell.arm[0]
     assert rated_load(arm, qh165).mass_kg == 165.0
     heaviest = arm.model_copy(update={"rated_load_kg": None, "max_load_kg": 90.0, "max_load_com_m": (0.0, 0.0, 0.2)})
     assert rated_load(heaviest, qh165).com_m.tolist() == [0.0, 0.0, 0.2]
@@ -82,8 +82,8 @@ def test_the_maximum_is_the_rated_load_else_the_heaviest_else_refused(large, qh1
         rated_load(arm.model_copy(update={"rated_load_kg": None}), qh165)
 
 
-def test_what_is_not_given_is_left_out_and_said_so(large):
-    arm = large.cell.arm[0]
+def test_what_is_not_given_is_left_out_and_said_so(large_cell):
+    arm = large_cell.cell.arm[0]
     profiles = [load_profile("generic-cia402")] * 6
     axes, sources = axis_terms(arm, profiles, None)
     assert axes[1].rotor_kg_m2 == 305.0
@@ -98,14 +98,14 @@ def test_what_is_not_given_is_left_out_and_said_so(large):
     assert sources[0].missing == ("rotor inertia", "Coulomb friction")
 
 
-def test_a_profile_without_the_objects_is_refused_and_its_axes_named(large):
+def test_a_profile_without_the_objects_is_refused_and_its_axes_named(large_cell):
     profiles = [load_profile("generic-cia402")] * 5 + [load_profile("kollmorgen-akd-x00606")]
     with pytest.raises(ConfigError, match=r"axis 6 \(node 6, kollmorgen-akd-x00606\)"):
-        axis_terms(large.cell.arm[0], profiles, None)
+        axis_terms(large_cell.cell.arm[0], profiles, None)
 
 
-def test_links_that_are_not_known_are_refused(large, qh165):
-    arm = large.cell.arm[0]
+def test_links_that_are_not_known_are_refused(large_cell, qh165):
+    arm = large_cell.cell.arm[0]
     with pytest.raises(ConfigError, match="link 3"):
         drawn_parameters(replace(qh165, mass_kg=np.where(np.arange(6) == 2, np.nan, qh165.mass_kg)), arm)
     with pytest.raises(ConfigError, match="ignore"):
@@ -132,9 +132,9 @@ def bare(qh165):
     )
 
 
-def test_the_links_are_corrected_to_the_torque_that_was_identified(large, qh165, bare):
+def test_the_links_are_corrected_to_the_torque_that_was_identified(large_cell, qh165, bare):
     truth, identified = bare
-    drawn = drawn_parameters(qh165, large.cell.arm[0])
+    drawn = drawn_parameters(qh165, large_cell.cell.arm[0])
     corrected = corrected_parameters(qh165, identified, GRAVITY)
     rows = gravity_regressor(qh165, np.random.default_rng(0).uniform(-2, 2, (50, 6)), GRAVITY)
     moments = [part.reshape(6, 10)[:, :4].ravel() for part in (drawn, corrected)]

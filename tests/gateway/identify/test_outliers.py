@@ -39,7 +39,7 @@ class Measured:
     def __post_init__(self):
         rng = np.random.default_rng([self.seed, 5])
         self.arm = draw_arm(rng)
-        poses = choose_poses(self.arm, POSES, rng)
+        poses = choose_poses(self.arm.chain, self.arm.floor_nm, self.arm.prior_std, POSES, rng)
         self.visits = [
             PlannedVisit(k, load, LOADED_S * place + VISIT_S * k, q)
             for place, load in enumerate(self.loads)

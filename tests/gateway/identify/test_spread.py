@@ -39,3 +39,4 @@ def test_a_jackknife_over_means_is_their_variance():
     parts = np.random.default_rng(2).normal(size=(8, 2))
     without = (parts.sum(axis=0) - parts) / 7.0
     assert np.diag(jackknife(without)) == pytest.approx(parts.var(axis=0, ddof=1) / 8.0)
+    assert not jackknife(without[:2]).any()

@@ -5,14 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.data.arms import urdf_of
 from tests.support.rigs.tables import make_table
-
-
-@pytest.fixture
-def random_urdf():
-    """Factory: seed -> URDF text of a random arm; `more` is put inside <robot>."""
-    return lambda seed, more="": urdf_of(np.random.default_rng(seed), more)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from gateway.model.kinematics import kinematic_difference, link_frames
 from gateway.model.regressor import full_names, gravity_names, gravity_regressor, load_regressor, regressor
 from gateway.model.robot import robot_from_dh, robot_from_urdf
 from tests.cells import CELLS
-from tests.data.arms import link_parameters, peer_of, states, urdf_of
+from tests.data.arms import link_parameters, peer_of, states, torque_of, urdf_of
 
 WITHIN_LINK = np.array([0, 1, 2, 3, 4, 5, 7, 6, 8, 9])
 TEXTS = {f"random {axes}": urdf_of(np.random.default_rng(axes), axes=axes) for axes in (2, 3, 4, 5, 7, 8)}
@@ -52,11 +52,10 @@ def test_rows_are_those_of_pinocchio(text, gravity):
     for n in range(0, len(q), 20):
         oracle = pinocchio.computeJointTorqueRegressor(model, data, q[n], qd[n], qdd[n])
         np.testing.assert_allclose(full[n], oracle[:, from_pinocchio(robot.axes)], atol=1e-11 * np.abs(oracle).max())
-        torque = pinocchio.rnea(model, data, q[n], qd[n], qdd[n])
-        np.testing.assert_allclose(full[n] @ link_parameters(robot), torque, rtol=1e-9, atol=1e-9)
-        still = pinocchio.computeGeneralizedGravity(model, data, q[n])
-        phi = np.concatenate([[m, *(m * c)] for m, c in zip(robot.mass_kg, robot.com_m, strict=True)])
-        np.testing.assert_allclose(rest[n] @ phi, still, rtol=1e-9, atol=1e-9)
+    torque, still = torque_of(model, q, qd, qdd), torque_of(model, q)
+    np.testing.assert_allclose(full @ link_parameters(robot), torque, rtol=1e-9, atol=1e-9)
+    phi = np.concatenate([[m, *(m * c)] for m, c in zip(robot.mass_kg, robot.com_m, strict=True)])
+    np.testing.assert_allclose(rest @ phi, still, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(load_regressor(robot, q, gravity), rest[:, :, -4:], atol=1e-13)
 
 

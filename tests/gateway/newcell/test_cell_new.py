@@ -113,7 +113,7 @@ def test_a_person_is_asked_for_what_cannot_be_read_and_asked_again(folder):
     lines = ["1, 2, 3, 4, 5", "11, 12, 13, 14, 15, 16", "generic-cia402", "many", "101; plate", "", "0.12", *[""] * 9]
     done = new(folder, "--robot", folder / "arm.urdf", "--bus", "socketcan:can0", "--offline", input="\n".join(lines))
     assert done.exit_code == 0, done.output
-    assert "has 5 numbers but the arm has 6 axes" in done.stderr
+    assert "has 5 values but the arm has 6 axes" in done.stderr
     assert "holds 'many', which is not a number" in done.stderr
     arm = axes_of(folder)
     assert arm.axis[0].gear_ratio.value == 101

@@ -11,6 +11,22 @@ from scipy.spatial.transform import Rotation
 from gateway.model.robot import Robot, robot_from_dh, with_flange
 from gateway.pair.calibration import PairCalibration
 from gateway.pair.path import PairPath, PathProgram
+from gateway.pair.transform_function import TransformFunction, function_of_knots
+
+#: Relation of the hands of the first functions, 0.4 m along x.
+FIXED = np.eye(4)
+FIXED[0, 3] = 0.4
+#: Origins (6, 3) [m] and directions (6, 3) of the beams of six distance sensors, in the hand that carries them.
+ORIGIN_M = np.array(
+    [[0.06, 0, 0], [-0.04, 0.05, 0], [-0.04, -0.05, 0], [0, 0.06, 0.02], [0, -0.06, 0.02], [0.05, 0, 0.03]]
+)
+BEAM = np.array([[0.0, 0, 1]] * 3 + [[1.0, 0, 0]] * 2 + [[0.0, 1, 0]])
+
+
+def first_function(path: PairPath, count: int = 9) -> TransformFunction:
+    """The same relation at so many points of a path."""
+    points = path.uniform(count)
+    return function_of_knots(path.s_m[points], np.tile(FIXED, (len(points), 1, 1)))
 
 
 class Table(NamedTuple):

@@ -17,11 +17,11 @@ from gateway.pair.internal_force import InternalForce
 from gateway.pair.learning_update import LearningRule
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
-from gateway.pair.transform import apply_correction, correction_between, inverse, pose
-from gateway.pair.transform_function import TransformFunction, function_of_knots
+from gateway.pair.transform import apply_correction, correction_between, inverse
+from gateway.pair.transform_function import function_of_knots
 from gateway.result.pair import CycleSummary
+from tests.gateway.pair.conftest import FIXED, first_function
 
-FIXED = pose(np.eye(3), [0.4, 0.0, 0.0])
 CHAIN = np.repeat([1.0e5, 3.0e3], 3)
 DELAY = 8
 
@@ -29,11 +29,6 @@ DELAY = 8
 @pytest.fixture(scope="module")
 def bare(cell: PairCalibration) -> PairCalibration:
     return replace(cell, part_mass_kg=0.0)
-
-
-def first_function(path: PairPath, count: int = 9) -> TransformFunction:
-    points = path.uniform(count)
-    return function_of_knots(path.s_m[points], np.tile(FIXED, (len(points), 1, 1)))
 
 
 class Spring:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from gateway.errors import ConfigError
 from gateway.pair.distance import DistanceEstimator, DistanceSensors
 from gateway.pair.transform import apply_correction
+from tests.gateway.pair.conftest import BEAM, ORIGIN_M
 
 WANTED = np.eye(4)
 WANTED[:3, :3] = Rotation.from_euler("xyz", [0.3, -0.2, 2.0]).as_matrix()
@@ -16,14 +19,10 @@ WANTED[:3, 3] = 0.1, 0.4, -0.05
 
 
 def sensors(count: int = 6) -> DistanceSensors:
-    origin = np.array(
-        [[0.06, 0, 0], [-0.04, 0.05, 0], [-0.04, -0.05, 0], [0, 0.06, 0.02], [0, -0.06, 0.02], [0.05, 0, 0.03]]
-    )
-    beam = np.array([[0.0, 0, 1]] * 3 + [[1.0, 0, 0]] * 2 + [[0.0, 1, 0]])
     normal = np.array([[0.1, 0.0, -1.0]] * 3 + [[-1.0, 0.2, 0.0]] * 2 + [[0.0, -1.0, 0.1]])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    hit = (origin + 0.005 * beam) @ WANTED[:3, :3].T + WANTED[:3, 3]
-    return DistanceSensors(origin[:count], beam[:count], hit[:count], (normal @ WANTED[:3, :3].T)[:count])
+    hit = (ORIGIN_M + 0.005 * BEAM) @ WANTED[:3, :3].T + WANTED[:3, 3]
+    return DistanceSensors(ORIGIN_M[:count], BEAM[:count], hit[:count], (normal @ WANTED[:3, :3].T)[:count])
 
 
 def test_readings_are_rays_cut_with_planes() -> None:
@@ -34,25 +33,6 @@ def test_readings_are_rays_cut_with_planes() -> None:
         end = start + reading * (moved[:3, :3] @ sensor.beam[i])
         assert sensor.normal[i] @ (end - sensor.point_m[i]) == pytest.approx(0.0, abs=1e-15)
     assert np.allclose(sensor.readings(WANTED), 0.005)
-
-
-def test_sensitivity_by_differences() -> None:
-    sensor = sensors()
-    for column in range(6):
-        step = np.zeros(6)
-        step[column] = 1e-6
-        change = (
-            sensor.readings(apply_correction(WANTED, step)) - sensor.readings(apply_correction(WANTED, -step))
-        ) / 2e-6
-        assert np.allclose(sensor.sensitivity(WANTED)[:, column], change, atol=1e-8)
-
-
-def test_error_brings_the_hand_home() -> None:
-    estimator = DistanceEstimator(sensors(), WANTED)
-    away = np.array([1e-3, -2e-3, 5e-4, 3e-3, 1e-3, -2e-3])
-    error = estimator.error(sensors().readings(apply_correction(WANTED, away)))
-    assert np.allclose(error, -away, atol=2e-5)
-    assert np.allclose(estimator.demanded_m, 0.005)
 
 
 def test_three_sensors_correct_three_components_and_leave_the_rest() -> None:
@@ -102,6 +82,26 @@ def mixed() -> DistanceSensors:
     return DistanceSensors(origin, beam, point, normal, on_master)
 
 
+@pytest.mark.parametrize("made", [sensors, mixed])
+def test_sensitivity_by_differences(made: Callable[[], DistanceSensors]) -> None:
+    sensor = made()
+    for column in range(6):
+        step = np.zeros(6)
+        step[column] = 1e-6
+        there, back = apply_correction(WANTED, step), apply_correction(WANTED, -step)
+        change = (sensor.readings(there) - sensor.readings(back)) / 2e-6
+        assert np.allclose(sensor.sensitivity(WANTED)[:, column], change, atol=1e-8)
+
+
+@pytest.mark.parametrize("made", [sensors, mixed])
+def test_error_brings_the_hand_home(made: Callable[[], DistanceSensors]) -> None:
+    estimator = DistanceEstimator(made(), WANTED)
+    away = np.array([1e-3, -2e-3, 5e-4, 3e-3, 1e-3, -2e-3])
+    error = estimator.error(made().readings(apply_correction(WANTED, away)))
+    assert np.allclose(error, -away, atol=2e-5)
+    assert np.allclose(estimator.demanded_m, 0.005)
+
+
 def test_sensors_on_either_gripper() -> None:
     sensor = mixed()
     assert np.allclose(sensor.readings(WANTED), 0.005)
@@ -110,12 +110,3 @@ def test_sensors_on_either_gripper() -> None:
         normal = moved[:3, :3] @ sensor.normal[i]
         point = moved[:3, :3] @ sensor.point_m[i] + moved[:3, 3]
         assert normal @ (sensor.origin_m[i] + reading * sensor.beam[i] - point) == pytest.approx(0.0, abs=1e-15)
-    for column in range(6):
-        step = np.zeros(6)
-        step[column] = 1e-6
-        there, back = apply_correction(WANTED, step), apply_correction(WANTED, -step)
-        change = (sensor.readings(there) - sensor.readings(back)) / 2e-6
-        assert np.allclose(sensor.sensitivity(WANTED)[:, column], change, atol=1e-8)
-    away = np.array([1e-3, -2e-3, 5e-4, 3e-3, 1e-3, -2e-3])
-    error = DistanceEstimator(sensor, WANTED).error(sensor.readings(apply_correction(WANTED, away)))
-    assert np.allclose(error, -away, atol=2e-5)

@@ -10,17 +10,14 @@ import pytest
 from gateway.motion.reactions import ARM_RULES
 from gateway.pair.distance import DistanceSensors
 from gateway.pair.gap import SensorCheck
+from tests.gateway.pair.conftest import BEAM, ORIGIN_M
 
-BEAM = np.array([[0.0, 0, 1]] * 3 + [[1.0, 0, 0]] * 2 + [[0.0, 1, 0]])
-ORIGIN = np.array(
-    [[0.06, 0, 0], [-0.04, 0.05, 0], [-0.04, -0.05, 0], [0, 0.06, 0.02], [0, -0.06, 0.02], [0.05, 0, 0.03]]
-)
 GAP_M, SYNCS = 0.02, ARM_RULES["sensors"].count
 SHIFT_M = np.array([0.4e-3, 0.0, -1.0e-3])
 
 
 def check(count: int = 6) -> SensorCheck:
-    sensors = DistanceSensors(*(each[:count] for each in (ORIGIN, BEAM, ORIGIN + GAP_M * BEAM, -BEAM)))
+    sensors = DistanceSensors(*(each[:count] for each in (ORIGIN_M, BEAM, ORIGIN_M + GAP_M * BEAM, -BEAM)))
     channels = tuple(SimpleNamespace(subindex=number) for number in (1, 2, 3, 4, 5, 8)[:count])
     layout = SimpleNamespace(config=SimpleNamespace(channel=channels), estimator=SimpleNamespace(sensors=sensors))
     return SensorCheck(layout)  # type: ignore[arg-type]

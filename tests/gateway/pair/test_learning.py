@@ -15,15 +15,8 @@ from gateway.pair.learning_update import Forgetting, LearningRule, from_local, l
 from gateway.pair.path import PairPath
 from gateway.pair.relation import relation, slave_command
 from gateway.pair.transform import apply_correction, correction_between
-from gateway.pair.transform_function import TransformFunction, function_of_knots
-
-FIXED = np.eye(4)
-FIXED[0, 3] = 0.4
-
-
-def first_function(path: PairPath, count: int = 9) -> TransformFunction:
-    points = path.uniform(count)
-    return function_of_knots(path.s_m[points], np.tile(FIXED, (len(points), 1, 1)))
+from gateway.pair.transform_function import function_of_knots
+from tests.gateway.pair.conftest import FIXED, first_function
 
 
 def true_commands(path: PairPath, cell: PairCalibration) -> np.ndarray:

@@ -68,12 +68,6 @@ def test_a_cell_that_cannot_be_a_pair_is_refused(cell: Path, old: str, new: str,
     assert len(result.output.strip().splitlines()) == 1
 
 
-def test_a_cell_without_a_pair_is_refused() -> None:
-    result = call("run-pair", EXAMPLE.parent / "small" / "cell.toml", "--yes")
-    assert result.exit_code == 3
-    assert "no [pair]" in result.output
-
-
 def test_constants_of_the_force_are_not_assumed(cell: Path) -> None:
     text = cell.read_text(encoding="utf-8")
     start = text.index("coulomb_nm")
@@ -83,16 +77,19 @@ def test_constants_of_the_force_are_not_assumed(cell: Path) -> None:
     assert "axis 1: coulomb_nm is missing" in result.output
 
 
-def test_running_needs_teaching(cell: Path) -> None:
-    result = call("run-pair", cell, "--yes")
+@pytest.mark.parametrize(
+    ("name", "words", "said"),
+    [
+        (EXAMPLE.parent / "small" / "cell.toml", (), "no [pair]"),
+        ("cell.toml", (), "run teach"),
+        ("cell.toml", ("--embodiment", "O"), "C8"),
+    ],
+    ids=["no pair", "not taught", "an embodiment that needs the truth"],
+)
+def test_a_run_that_cannot_be_is_refused(cell: Path, name: Path | str, words: tuple[str, ...], said: str) -> None:
+    result = call("run-pair", cell.parent / name, *words, "--yes")
     assert result.exit_code == 3
-    assert "run teach" in result.output
-
-
-def test_an_embodiment_that_needs_the_truth_is_refused(cell: Path) -> None:
-    result = call("run-pair", cell, "--embodiment", "O", "--yes")
-    assert result.exit_code == 3
-    assert "C8" in result.output
+    assert said in result.output
 
 
 def test_a_changed_path_is_refused(cell: Path) -> None:

@@ -87,6 +87,7 @@ def test_a_healthy_drive_passes_every_rule():
         ({"max_torque": 0}, "fail", "produces no torque"),
         ({"rated_torque": 1_270_000}, "fail", "another unit"),
         ({"max_torque": 500}, "warn", "saturate"),
+        ({"max_torque": 500}, "warn", "64 Nm at the joint"),  # 0.5 of 1.27 Nm over a ratio of 100
         ({"polarity": 0xC0}, "fail", "inverts position"),
         ({"gear_motor_revolutions": 100}, "fail", "applies a gear ratio"),
         ({"feed_constant_feed": 360_000, "feed_constant_revolutions": 1}, "fail", "by a feed constant"),
@@ -177,10 +178,10 @@ def test_safety_chain_and_reference_where_the_profile_names_them(inputs, referen
     assert {(0x60FD, 0), (0x2010, 0)} <= live_addresses(profile)
 
 
-def test_limit_of_the_drive_in_joint_torque():
-    # 0.5 of 1.27 Nm over a ratio of 100 is 63.5 Nm
-    item = next(item for item in judge_axis(axis(), readings(max_torque=500)) if "max_torque" in item.where)
-    assert "64 Nm at the joint" in item.what
+@pytest.mark.parametrize("name", ["nanotec", "technosoft-ipos8010"])
+def test_a_torque_limit_of_zero_is_refused_where_the_torque_is_scaled_as_a_current(name):
+    items = worst(judge_settings(axis(profile=load_profile(name)), readings(max_torque=0)))
+    assert any("max_torque" in item.where and "no torque" in item.what for item in items)
 
 
 def identity(**changes):

@@ -73,7 +73,7 @@ def test_a_number_that_is_not_known_is_never_shown(page):
 
 
 def test_the_headline_of_a_comparison_goes_from_setting_to_setting():
-    assert headline(comparison()) == "Peak following error: J2 16.7 > 1.67 > 0.167 mrad; J3 16.7 > 1.67 > 0.167 mrad"
+    assert headline(comparison()) == "Peak following error: J2 16.7 → 1.67 → 0.167 mrad; J3 16.7 → 1.67 → 0.167 mrad"
 
 
 def test_terminal_and_page_say_the_same_figures(capsys):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gateway.errors import InputError
-from gateway.report.comparison_page import render_compare
+from gateway.report.comparison_page import compared_cells, render_compare
 from gateway.result.compare import compare, parse_tolerance, sentence
 from gateway.result.result import from_json
 
@@ -198,6 +198,8 @@ def test_the_page_holds_every_quantity_and_the_verdict():
     )
     page = render_compare(found)
     assert sentence(found) in page
+    centre = replace(found.quantities[1], after=found.quantities[1].before + 0.002, half_width=math.nan)
+    assert compared_cells(centre)[4].startswith("2"), "mm also without an interval"
     assert page.count('<span class="tag') == len(found.quantities)
     assert "<svg" in page
     assert "http" not in page.replace("http://www.w3.org", "")

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from gateway.cli import main
 from gateway.errors import InputError
-from gateway.report.repeatability_page import render_repeatability
+from gateway.report.comparison_page import render_repeatability
 from gateway.result.repeatability import conclusion, repeatability
 from gateway.result.result import from_json, to_json
 

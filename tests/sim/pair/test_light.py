@@ -94,9 +94,6 @@ def test_an_axis_lags_by_its_time_constant(world_of: Worlds) -> None:
         behind = speed * lag_s * (1.0 - math.exp(-cycle * SYNC_S / lag_s))
         assert axis.servo.error_rad == pytest.approx(behind, rel=1e-6, abs=1e-9)
     assert axis.fastest_rad_s == pytest.approx(speed, rel=0.1)
-    assert world.fastest_rad_s[2] == axis.fastest_rad_s
-    world.forget_fastest()
-    assert not world.fastest_rad_s.any()
 
 
 def test_a_step_of_speed_takes_as_much_torque_however_short_the_stretch_it_is_seen_in(world_of: Worlds) -> None:

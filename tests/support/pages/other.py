@@ -2,8 +2,8 @@
 
 import math
 
+from gateway.report.comparison_page import render_repeatability
 from gateway.report.pair_page import FORCE, GAP, Limited, render_pair
-from gateway.report.repeatability_page import render_repeatability
 from gateway.result.drawn import Drawn
 from gateway.result.follow import (
     AxisSources,

@@ -16,7 +16,7 @@ from click.testing import CliRunner, Result
 
 from gateway.cli import main
 from gateway.preflight import machine
-from tests.support.independent_drives import IndependentDrives
+from tests.support.independent_drives import SIX, IndependentDrives
 
 HERE = Path(__file__).parent
 VARIANTS = ("zero-extended", "no-size")
@@ -58,7 +58,14 @@ def _change(path: Path, changes: Sequence[tuple[str, str]]) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-@pytest.fixture(scope="module", params=["udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)])
+def on_buses(udp: Sequence[str], socketcan: Sequence[str] = ()) -> pytest.MarkDecorator:
+    """Give a test drives of these variants; on SocketCAN of few, since each start takes long where it is emulated."""
+    on_can = (pytest.param("socketcan", variant, marks=pytest.mark.vcan) for variant in socketcan)
+    on_udp = (("udp_multicast", variant) for variant in udp)
+    return pytest.mark.parametrize(("bus", "drives"), [*on_udp, *on_can], indirect=True)
+
+
+@pytest.fixture(scope="module")
 def bus(request: pytest.FixtureRequest) -> str:
     """A bus of its own."""
     if request.param == "socketcan":
@@ -69,10 +76,10 @@ def bus(request: pytest.FixtureRequest) -> str:
     return f"udp_multicast:239.74.163.9,port={port}"
 
 
-@pytest.fixture(scope="module", params=VARIANTS)
+@pytest.fixture(scope="module")
 def drives(request: pytest.FixtureRequest, bus: str) -> Iterator[IndependentDrives]:
-    """Six drives of one vendor variant."""
-    with IndependentDrives(bus, variant=request.param) as running:
+    """Drives of one vendor variant; on the nodes of the module, six by default."""
+    with IndependentDrives(bus, getattr(request.module, "NODES", SIX), request.param) as running:
         yield running
 
 

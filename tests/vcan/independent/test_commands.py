@@ -7,9 +7,9 @@ import math
 import pytest
 
 from tests.support.independent_drives import SIX
-from tests.vcan.independent.conftest import EMULATED
+from tests.vcan.independent.conftest import VARIANTS, on_buses
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.clock]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 #: Mass [kg] and centre of gravity in the frame of the last link [m].
 LOAD = (3.2, (0.12, 0.02, -0.03))
 #: Joint angles [rad].
@@ -23,9 +23,9 @@ AT_TARGET = [
 ]
 #: Quick stop ramp of axis 3 as delivered: 5 rad/s2 behind a gear of 80, in 0.1 rpm/s.
 QUICK_STOP_3 = round(5.0 * 80 * 600 / (2 * math.pi))
-in_real_time = pytest.mark.skipif(EMULATED, reason="an emulated processor does not keep a SYNC period of six drives")
 
 
+@on_buses(VARIANTS, ["no-size"])
 def test_scan_and_check(place, drives, failed):
     nodes = place.result("scan", "--listen", 0.5, bus=True)["nodes"]
     product = {"zero-extended": 0x0402_0001, "no-size": 0x0402_0002}[drives.variant]
@@ -41,7 +41,8 @@ def test_scan_and_check(place, drives, failed):
     assert said["J6 node 6:6076:00 (rated_torque)"] == "0.25 Nm is 1000 per mille"
 
 
-@in_real_time
+@on_buses(VARIANTS, ["no-size"])
+@pytest.mark.clock
 def test_the_proof_stops_the_arm_twice_at_speed(place, drives, failed):
     """Once by the lost heartbeat, once by the quick stop word: both at about 0.05 rad/s, before the arm slows down."""
     report = place.result("check", place.cell, "--prove-stop", "--yes")
@@ -55,8 +56,8 @@ def test_the_proof_stops_the_arm_twice_at_speed(place, drives, failed):
         assert any("quick stop: at rest after" in what for what in said)
 
 
-@in_real_time
-@pytest.mark.parametrize("drives", ["no-size"], indirect=True)
+@on_buses(["no-size"], ["no-size"])
+@pytest.mark.clock
 def test_from_the_first_motion_to_the_load(place, drives):
     """`move`, two recordings, `estimate`, on an arm with friction and gears that take a tenth of the work."""
     place.types("move", place.cell, "--to", "0.1,-0.1,0.4,0,0.4,0", "--override", 100, "--yes")
@@ -77,6 +78,7 @@ def test_from_the_first_motion_to_the_load(place, drives):
         assert std < 0.005
 
 
+@on_buses(VARIANTS)
 def test_configuration_is_kept_compared_written_and_put_back(place, drives):
     dcf = ("--dcf", place.folder / "dcf")
     place.types("config", "dump", place.cell, "--eds", place.folder / "drive.eds", "--output", place.folder / "dcf")

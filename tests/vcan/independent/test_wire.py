@@ -16,20 +16,15 @@ from drives.bus import Bus, BusSpec, open_bus
 from drives.errors import SdoAbort, SdoTimeout
 from drives.sdo import SdoClient
 from tests.support.independent_drives import PATIENCE, IndependentDrives
+from tests.vcan.independent.conftest import VARIANTS, on_buses
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.clock]
-NODE = 5
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+NODES = (NODE,) = (5,)
 MASTER = 127
 PRE_OPERATIONAL, OPERATIONAL, STOPPED = 0x7F, 0x05, 0x04
 #: 0 rad of the first axis, whose motor turns 100 times as much and counts 65536 to a turn.
 POSITION = 0
 SWITCH_ON_DISABLED, READY = 0x0250, 0x0231
-
-
-@pytest.fixture(scope="module")
-def drives(bus: str, request: pytest.FixtureRequest) -> Iterator[IndependentDrives]:
-    with IndependentDrives(bus, (NODE,), request.param) as running:
-        yield running
 
 
 @pytest.fixture
@@ -70,8 +65,8 @@ def map_pdo(sdo: SdoClient, communication: int, cob_id: int, entries: tuple[int,
     sdo.write(communication, 1, "u32", cob_id)
 
 
-both = pytest.mark.parametrize("drives", ["zero-extended", "no-size"], indirect=True)
-one = pytest.mark.parametrize("drives", ["zero-extended"], indirect=True)
+both = on_buses(VARIANTS, ["zero-extended"])
+one = on_buses(["zero-extended"], ["zero-extended"])
 
 
 @both
@@ -163,11 +158,12 @@ def test_loss_of_the_watched_heartbeat_is_an_emergency_and_disables(sdo: SdoClie
     sdo.write(0x1016, 1, "u32", 0)
 
 
-def test_drive_that_dies_is_a_timeout_not_an_old_answer(bus: str) -> None:
-    with open_bus(BusSpec.parse(bus)) as opened, IndependentDrives(bus, (NODE + 1,)) as drives:
-        client = SdoClient(opened, NODE + 1, timeout_s=0.1 * PATIENCE)
-        assert client.upload(0x1000)
-        drives.kill()
-        with pytest.raises(SdoTimeout):
-            client.upload(0x1000)
-        client.close()
+@one
+def test_drive_that_dies_is_a_timeout_not_an_old_answer(opened: Bus, drives: IndependentDrives) -> None:
+    """The last test of these drives."""
+    client = SdoClient(opened, NODE, timeout_s=0.1 * PATIENCE)
+    assert client.upload(0x1000)
+    drives.kill()
+    with pytest.raises(SdoTimeout):
+        client.upload(0x1000)
+    client.close()

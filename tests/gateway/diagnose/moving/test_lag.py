@@ -13,7 +13,7 @@ from gateway.diagnose.moving.lag import lags, prepare_in_step
 from gateway.identify.knowledge import Knowledge
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot
-from tests.data.moving_arm import GRAVITY, World, coloured, measured
+from tests.data.moving_arm import GRAVITY, World, as_period, coloured, measured
 
 #: Rows of the torque are made at a finer rate, of which it is delayed by whole steps.
 FINE_HZ, EVERY, PERIODS, PERIOD_S, NOISE = 200.0, 4, 3, 10.0, 0.02
@@ -40,24 +40,10 @@ def recorded(seed: int, world: World, delay: np.ndarray = DELAY_ROWS, scatter: f
             torque = np.stack([torque[rows - delay[axis], axis] for axis in range(6)], axis=1)
             for period in range(PERIODS):
                 noise = NOISE * scale * coloured(generator, torque.shape, FINE_HZ / EVERY)
-                tables.append(_period(one, torque + noise, excitation, period))
+                part = as_period(one, torque + noise, excitation, period, PERIOD_S)
+                tables.append(replace(part, run=np.array([f"{excitation}/{one.load[0]}/{period}"] * len(one))))
     assert robot is not None
     return concatenate(tables), robot
-
-
-def _period(one: Table, torque_nm: np.ndarray, excitation: float, period: int) -> Table:
-    count = len(one)
-    return replace(
-        one,
-        run=np.array([f"{excitation}/{one.load[0]}/{period}"] * count),
-        time_s=one.time_s + period * PERIOD_S,
-        tau_nm=torque_nm,
-        extra={
-            "x_excitation": np.full(count, excitation),
-            "x_period": np.full(count, float(period)),
-            "x_phase_s": one.time_s - one.time_s[0],
-        },
-    )
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gateway.data.rows import MOVING, concatenate
+from gateway.data.rows import concatenate
 from gateway.diagnose.moving.moving_noise import MovingNoise
 from gateway.diagnose.moving.null_model import null_model
 from gateway.diagnose.moving.penalised_fit import MovingProblem, fit
@@ -17,33 +16,14 @@ from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.motion.convergence import settle
 from gateway.identify.motion.problem import Contrasts, MotionProblem
 from gateway.model.motion import prepare
-from gateway.model.robot import robot_from_urdf
-from tests.data.moving_arm import several
-from tests.support.rigs.tables import make_table
+from tests.data.moving_arm import GRAVITY, several
+from tests.gateway.diagnose.moving.conftest import random_rows
 
-URDF = (Path(__file__).parents[4] / "examples" / "small" / "robot.urdf").read_text()
-GRAVITY = np.array([0.0, 0.0, -9.80665])
 TRUST = 0.07
 
 
-def rows(load: str, seed: int, n: int = 300):
-    """Sums of sines with random torques, of another size on every axis."""
-    generator = np.random.default_rng(seed)
-    time = np.arange(n) / 20.0
-    omega, phase = generator.uniform(0.5, 2.0, (2, 6)), generator.uniform(0, 6, (2, 6))
-    angle = omega[:, None] * time[:, None] + phase[:, None]
-    q, qd, qdd = (
-        np.sin(angle).sum(0),
-        (omega[:, None] * np.cos(angle)).sum(0),
-        -(omega[:, None] ** 2 * np.sin(angle)).sum(0),
-    )
-    tau = generator.normal(size=(n, 6)) * [40.0, 90.0, 60.0, 9.0, 6.0, 3.0]
-    return make_table([load] * n, np.full(n, MOVING), q, tau, run=[load] * n, time=time, qd=qd, qdd=qdd)
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return robot_from_urdf(URDF, "robot.urdf")
+def rows(load, seed):
+    return random_rows(seed, 300, load, load, [40.0, 90.0, 60.0, 9.0, 6.0, 3.0])
 
 
 def built(robot, labels, trust=TRUST, known=None):

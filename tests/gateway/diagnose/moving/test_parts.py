@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gateway.data.rows import MOVING, concatenate
+from gateway.data.rows import concatenate
 from gateway.diagnose.moving.candidates import candidates, suggested
 from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.moving.moving_noise import MovingNoise
@@ -29,31 +28,9 @@ from gateway.model.effects.cable_torque import HarmonicCable
 from gateway.model.effects.torque_constant_scale import TorqueConstantScale
 from gateway.model.effects.velocity_friction import Stribeck
 from gateway.model.motion import prepare, smooth_sign
-from gateway.model.robot import robot_from_urdf
-from tests.support.rigs.tables import make_table
-
-URDF = (Path(__file__).parents[4] / "examples" / "small" / "robot.urdf").read_text()
-GRAVITY = np.array([0.0, 0.0, -9.80665])
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return robot_from_urdf(URDF, "robot.urdf")
-
-
-def table_of(seed=0, n=400, run="1", load="none", rate_hz=20.0):
-    """Sums of sines with random torques: the numbers mean nothing, the algebra does."""
-    generator = np.random.default_rng(seed)
-    time = np.arange(n) / rate_hz
-    omega, phase = generator.uniform(0.5, 2.0, (2, 6)), generator.uniform(0, 6, (2, 6))
-    angle = omega[:, None] * time[:, None] + phase[:, None]
-    q, qd, qdd = (
-        np.sin(angle).sum(0),
-        (omega[:, None] * np.cos(angle)).sum(0),
-        -(omega[:, None] ** 2 * np.sin(angle)).sum(0),
-    )
-    moving, tau = np.full(n, MOVING), generator.normal(size=(n, 6))
-    return make_table([load] * n, moving, q, tau, run=[run] * n, time=time + 7.0, qd=qd, qdd=qdd)
+from tests.data.arms import peer_of, torque_of
+from tests.data.moving_arm import GRAVITY, URDF
+from tests.gateway.diagnose.moving.conftest import random_rows
 
 
 def problem_of(robot, table, trust=None, count=4):
@@ -76,7 +53,7 @@ def problem_of(robot, table, trust=None, count=4):
     ids=lambda term: type(term).__name__,
 )
 def test_a_trial_gives_what_the_full_refit_gives(robot, term):
-    problem = problem_of(robot, table_of(), trust=0.05)
+    problem = problem_of(robot, random_rows(), trust=0.05)
     state = state_of(problem, ())
     trial = put_on_trial(problem, state.fits, state.full, term)
     assert trial is not None
@@ -86,7 +63,7 @@ def test_a_trial_gives_what_the_full_refit_gives(robot, term):
 
 
 def test_no_column_contains_the_measured_torque(robot):
-    problem = problem_of(robot, table_of(load="a"), trust=0.05)
+    problem = problem_of(robot, random_rows(load="a"), trust=0.05)
     state = state_of(problem, ())
     other = replace(problem.motion, tau_nm=problem.motion.tau_nm + 17.0)
     pool = candidates(problem, state.full, frozenset(LIBRARY)) + suggested(problem, state.full, frozenset(LIBRARY))
@@ -99,7 +76,7 @@ def test_no_column_contains_the_measured_torque(robot):
 
 
 def test_blocks_hold_out_every_row_once_and_keep_a_gap(robot):
-    motion = prepare(concatenate([table_of(0, run="1"), table_of(1, run="2")]), None, robot, GRAVITY)
+    motion = prepare(concatenate([random_rows(0, run="1"), random_rows(1, run="2")]), None, robot, GRAVITY)
     splits = blocks(motion, 6)
     assert np.sum([test for _, test in splits], axis=0).tolist() == [1] * len(motion)
     for train, test in splits:
@@ -112,13 +89,8 @@ def test_blocks_hold_out_every_row_once_and_keep_a_gap(robot):
 
 
 def test_body_columns_with_the_drawn_values_give_the_torque_of_the_drawing(robot):
-    pinocchio = pytest.importorskip("pinocchio")
-    motion = prepare(table_of(3, n=40), None, robot, GRAVITY)
-    model = pinocchio.buildModelFromXML(URDF)
-    model.gravity.linear = GRAVITY
-    data = model.createData()
-    rows = zip(motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, strict=True)
-    expected = np.array([pinocchio.rnea(model, data, *row) for row in rows])
+    motion = prepare(random_rows(3, n=40), None, robot, GRAVITY)
+    expected = torque_of(peer_of(URDF)[0], motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2)
     assert motion.rigid @ link_values(robot).ravel() == pytest.approx(expected, abs=1e-8)
 
 
@@ -137,7 +109,7 @@ def test_a_drop_of_the_loss_by_chance_is_uniform_and_a_real_one_is_seen():
 
 
 def test_scale_of_a_reading_is_found_although_the_links_are_unknown(robot):
-    problem = problem_of(robot, table_of(5, n=600))
+    problem = problem_of(robot, random_rows(5, n=600))
     generator = np.random.default_rng(5)
     chosen = moving_base(robot, tuple(GRAVITY)).indices
     truth = link_values(robot).ravel()[chosen] * (1 + 0.1 * generator.normal(size=len(chosen)))
@@ -152,7 +124,7 @@ def test_scale_of_a_reading_is_found_although_the_links_are_unknown(robot):
 
 
 def test_an_axis_that_was_not_measured_or_does_not_move_is_unknown_in_every_list(robot):
-    table = table_of(6)
+    table = random_rows(6)
     table.tau_nm[:, 0] = np.nan
     table.qd_rad_s[:, 3] = 0.0
     result = diagnose_motion(table, robot, Knowledge(link_std=np.inf), only=frozenset({"velocity_friction"}))
@@ -162,12 +134,12 @@ def test_an_axis_that_was_not_measured_or_does_not_move_is_unknown_in_every_list
 
 
 def test_bad_input_is_refused(robot):
-    table = table_of(7, n=200)
+    table = random_rows(7, n=200)
     with pytest.raises(InputError, match="--known b"):
         diagnose_motion(table, robot, Knowledge(known={"b": (1.0, 0.0, 0.0, 0.0)}))
     with pytest.raises(DataUnusable, match="--holdout: load b"):
-        diagnose_motion(table, robot, Knowledge(), holdout=table_of(8, n=100, run="2", load="b"))
-    still = table_of(9, n=100)
+        diagnose_motion(table, robot, Knowledge(), holdout=random_rows(8, n=100, run="2", load="b"))
+    still = random_rows(9, n=100)
     still.qd_rad_s[:] = 0.0
     with pytest.raises(DataUnusable, match="no axis moves"):
         diagnose_motion(still, robot, Knowledge())

@@ -13,7 +13,7 @@ from gateway.diagnose import diagnose
 from gateway.diagnose.moving.splits import blocks, judging
 from gateway.model.motion import prepare
 from gateway.model.robot import Robot
-from tests.data.moving_arm import GRAVITY, World, coloured, measured
+from tests.data.moving_arm import GRAVITY, World, as_period, coloured, measured
 
 PERIODS, RATE_HZ, PERIOD_S, NOISE = 4, 25.0, 10.0, 0.02
 
@@ -27,19 +27,9 @@ def driven(
     generator, count = np.random.default_rng([seed, 7, int(excitation)]), len(one)
     parts = []
     for period in range(PERIODS):
-        parts.append(
-            replace(
-                one,
-                run=np.array([f"p{period}"] * count),
-                time_s=one.time_s + period * PERIOD_S,
-                tau_nm=one.tau_nm + NOISE * scale * coloured(generator, one.tau_nm.shape, RATE_HZ),
-                extra={
-                    "x_excitation": np.full(count, excitation),
-                    "x_period": np.full(count, float(period)),
-                    "x_phase_s": one.time_s.copy(),
-                },
-            )
-        )
+        noisy = one.tau_nm + NOISE * scale * coloured(generator, one.tau_nm.shape, RATE_HZ)
+        part = as_period(one, noisy, excitation, period, PERIOD_S)
+        parts.append(replace(part, run=np.array([f"p{period}"] * count)))
     return concatenate(parts), robot, scale
 
 

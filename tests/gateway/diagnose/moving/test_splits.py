@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from gateway.data.rows import concatenate
 from gateway.diagnose.moving.splits import blocks, choosing, judging
 from gateway.model.motion import prepare
-from gateway.model.robot import robot_from_urdf
-from tests.gateway.diagnose.moving.test_parts import GRAVITY, URDF, table_of
+from tests.data.moving_arm import GRAVITY
+from tests.gateway.diagnose.moving.conftest import random_rows
 
 BARE = frozenset({"none"})
 
 
-@pytest.fixture(scope="module")
-def robot():
-    return robot_from_urdf(URDF, "robot.urdf")
-
-
 def runs(robot, loads, label=None):
-    tables = [table_of(k, n=120, run=str(k), load=load) for k, load in enumerate(loads)]
-    held = None if label is None else table_of(99, n=60, run="held", load=label)
+    tables = [random_rows(k, n=120, run=str(k), load=load) for k, load in enumerate(loads)]
+    held = None if label is None else random_rows(99, n=60, run="held", load=label)
     return prepare(concatenate(tables), held, robot, GRAVITY)
 
 

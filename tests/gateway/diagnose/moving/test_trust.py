@@ -15,7 +15,6 @@ from gateway.diagnose.moving.penalised_fit import MovingProblem
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.trust import log_evidence
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.spread import jackknife
 from gateway.model.motion import prepare
 from tests.data.moving_arm import GRAVITY, World, measured
 
@@ -60,13 +59,3 @@ def test_evidence_is_the_marginal_density_of_the_rows():
         spread = np.eye(len(target)) + columns @ covariance @ columns.T
         expected.append(stats.multivariate_normal.logpdf(target, np.zeros(len(target)), spread))
     assert values[1] - values[0] == pytest.approx(expected[1] - expected[0], rel=1e-4)
-
-
-def test_a_jackknife_over_means_is_their_variance():
-    """Means without one block each of n: (n - 1) / n times the sum of squares is the variance of the mean."""
-    rng = np.random.default_rng(2)
-    parts = rng.normal(size=(8, 2))
-    without = (parts.sum(axis=0) - parts) / 7.0
-
-    assert np.diag(jackknife(without)) == pytest.approx(parts.var(axis=0, ddof=1) / 8.0)
-    assert not jackknife(without[:2]).any()

@@ -12,9 +12,7 @@ from gateway.diagnose import diagnose
 from gateway.errors import ConfigError, DataUnusable
 from gateway.model.effects import MISTAKES
 from gateway.result.result import Result
-from sim.offline import PlannedVisit, measure
-from tests.data.resting_arm import Bench, effect, found
-from tests.support.rigs.tables import simulated_table
+from tests.data.resting_arm import Bench, effect, found, undirected
 
 
 @pytest.fixture(scope="module")
@@ -151,22 +149,11 @@ def test_held_out_rows_with_another_load_alone_are_refused(healthy):
 # --------------------------------------------------------------------------------------------------------- several runs
 
 
-def of_run(bench: Bench, poses, load: str, run: str, first: int = 0, loads=None) -> Table:
-    """Visits of one run, one after the other."""
-    visits = []
-    for k, q in enumerate(poses):
-        visits.append(PlannedVisit(first + k, load, bench.now_s, q))
-        bench.now_s += 25.0
-    rng = np.random.default_rng([bench.seed, int(bench.now_s)])
-    columns = measure(bench.arm.chain, bench.plant, visits, loads or bench.arm.loads, bench.arm.protocol, rng)
-    return simulated_table(columns, run)
-
-
 @pytest.mark.slow
 def test_a_run_of_a_tenth_of_the_others_changes_no_answer():
     bench = Bench(3, [], poses=10)
-    long = [of_run(bench, bench.poses, load, run) for run in ("a", "b") for load in ("none", "tool")]
-    short = of_run(bench, bench.poses[:2], "tool", "c")
+    long = [bench.table(bench.poses, load, run=run) for run in ("a", "b") for load in ("none", "tool")]
+    short = bench.table(bench.poses[:2], "tool", run="c")
     named, tables = frozenset({"base_tilt", "cable_torque"}), (concatenate([*long, short]), concatenate(long))
     both, alone = (diagnose(table, bench.robot, bench.options, only=named) for table in tables)
     assert both.verdict == alone.verdict == "none_needed"
@@ -180,8 +167,9 @@ def test_a_load_of_one_run_alone_is_reported_with_its_own_uncertainty():
     bench = Bench(3, [], poses=10)
     tool = bench.arm.loads["tool"]
     lighter = replace(tool, mass_kg=0.5 * tool.mass_kg)
-    parts = [of_run(bench, bench.poses, load, "a") for load in ("none", "tool")]
-    parts.append(of_run(bench, bench.poses[:4], "gripper", "b", loads={**bench.arm.loads, "gripper": lighter}))
+    parts = [bench.table(bench.poses, load, run="a") for load in ("none", "tool")]
+    bench.arm = replace(bench.arm, loads=bench.arm.loads | {"gripper": lighter})
+    parts.append(bench.table(bench.poses[:4], "gripper", run="b"))
     result = diagnose(concatenate(parts), bench.robot, bench.options)
     assert result.verdict == "none_needed"
     for label, true_kg in (("tool", tool.mass_kg), ("gripper", lighter.mass_kg)):
@@ -197,9 +185,7 @@ def test_a_load_of_one_run_alone_is_reported_with_its_own_uncertainty():
 @pytest.mark.parametrize("seed", [1, 8])
 def test_a_table_without_directions_names_no_wiring_mistake(seed):
     bench = Bench(seed, [])
-    table = bench.both()
-    read = replace(table, direction=np.zeros_like(table.direction))
-    result = diagnose(read, bench.robot, bench.options)
+    result = diagnose(undirected(bench.both()), bench.robot, bench.options)
     assert not {name for name, _ in found(result)} & set(MISTAKES)
     assert not result.failed
     tool = bench.arm.loads["tool"]

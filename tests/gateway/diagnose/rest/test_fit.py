@@ -16,7 +16,7 @@ from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effects.payload_shift import PayloadShift
 from gateway.model.effects.torque_offset import TorqueOffset
-from tests.data.resting_arm import Bench, effect, problem_of
+from tests.data.resting_arm import Bench, effect, problem_of, single_joint_sweep, undirected
 
 
 @pytest.fixture(scope="module")
@@ -129,30 +129,27 @@ def settled(problem):
     return result
 
 
-def undirected(bench: Bench) -> Table:
-    table = bench.both()
-    return replace(table, direction=np.zeros_like(table.direction))
+def no_side(bench: Bench) -> Table:
+    return undirected(bench.both())
 
 
 def one_sweep(bench: Bench) -> Table:
-    bench.poses = np.tile(bench.poses[0], (12, 1))
-    bench.poses[:, 2] = np.linspace(-0.8, 0.8, 12)
-    table = bench.both()
+    table = single_joint_sweep(bench, 2)
     return replace(table, direction=np.where(np.arange(6) == 2, table.direction, 0).astype(np.int8))
 
 
-@pytest.mark.parametrize("made", [undirected, one_sweep], ids=["no side", "one axis"])
+@pytest.mark.parametrize("made", [no_side, one_sweep], ids=["no side", "one axis"])
 def test_a_band_that_no_approach_determines_stays_out_of_the_fit(made):
     """The middle of both sides bends at the band: free to follow that alone, it would never settle."""
     bench = Bench(3, [])
     problem = problem_of(bench, made(bench))
-    assert problem.sided.sum() == (0 if made is undirected else 1)
+    assert problem.sided.sum() == (0 if made is no_side else 1)
     result = settled(problem)
     assert result.band[~problem.sided] == pytest.approx(0.0, abs=1e-9)
     assert (result.band[problem.sided] > 0.5 * bench.arm.plant.coulomb_nm[problem.sided]).all()
 
 
-@pytest.mark.parametrize("made", [Bench.both, undirected, one_sweep], ids=["both sides", "no side", "one axis"])
+@pytest.mark.parametrize("made", [Bench.both, no_side, one_sweep], ids=["both sides", "no side", "one axis"])
 def test_held_out_rows_are_predicted_by_a_fit_without_them_whatever_columns_are_empty(made):
     """Bands without a side and links on a vertical axis have empty columns, sweeps have dependent ones."""
     bench = Bench(3, [])

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gateway.data.table import Table
 from gateway.diagnose import diagnose
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.rest_mistakes import (
@@ -29,7 +28,7 @@ from gateway.identify.solve import ByGroup
 from gateway.model.effects import LIBRARY, MISTAKES
 from gateway.model.effects.torque_constant_scale import TorqueConstantScale
 from gateway.model.effects.torque_offset import TorqueOffset
-from tests.data.resting_arm import Bench, basis_of, effect, found, problem_of, problems
+from tests.data.resting_arm import Bench, basis_of, effect, found, problem_of, problems, single_joint_sweep, undirected
 from tests.support.rigs.tables import make_table
 
 
@@ -115,17 +114,6 @@ def test_an_outlier_stays_rejected_on_its_drive_when_cables_are_exchanged():
     swapped = Mistake("axes_swapped", (2, 3), with_positions=True)
     problem = RestDiagnosis(bench.robot, bench.options).problem(read, torques, (swapped,))
     assert np.argwhere(~problem.use_sum).tolist() == [[4, 2], [7, 4]]
-
-
-def undirected(read: Table) -> Table:
-    return replace(read, direction=np.zeros_like(read.direction))
-
-
-def single_joint_sweep(bench: Bench, axis: int) -> Table:
-    """Visits along which one axis alone moves."""
-    bench.poses = np.tile(bench.poses[0], (12, 1))
-    bench.poses[:, axis] = np.linspace(-0.8, 0.8, 12)
-    return bench.both()
 
 
 HEALTHY = [

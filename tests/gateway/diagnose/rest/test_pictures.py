@@ -7,13 +7,7 @@ import pytest
 
 from gateway.data.rows import concatenate
 from gateway.diagnose import diagnose
-from gateway.identify.knowledge import Knowledge
-from gateway.model.robot import robot_from_urdf
-from sim.draw import choose_poses, draw_arm
-from sim.effects import apply_effects
-from sim.offline import PlannedVisit, measure, point_jacobian
-from tests.data.resting_arm import effect
-from tests.support.rigs.tables import simulated_table
+from tests.data.resting_arm import Bench, effect
 
 FRESH = 3
 COEFFICIENT = 0.5
@@ -21,20 +15,12 @@ COEFFICIENT = 0.5
 
 def diagnosed(hidden, *rivals):
     """Search of an arm for an effect and rivals, ten poses bare and loaded, three fresh ones loaded."""
-    rng = np.random.default_rng([4, 99])
-    arm = draw_arm(rng)
-    plant = apply_effects(arm.plant, [hidden], point_jacobian(arm.chain))
-    poses = choose_poses(arm, 10 + FRESH, rng)
-
-    def table(rows, load, start_s):
-        visits = [PlannedVisit(k, load, start_s + 25.0 * k, poses[k]) for k in rows]
-        columns = measure(arm.chain, plant, visits, arm.loads, arm.protocol, np.random.default_rng([7, int(start_s)]))
-        return simulated_table(columns)
-
-    seen = concatenate([table(range(10), "none", 0.0), table(range(10), "tool", 400.0)])
-    robot, fresh = robot_from_urdf(arm.urdf, "drawn"), table(range(10, 10 + FRESH), "tool", 800.0)
-    stated, only = Knowledge(efficiency=arm.efficiency, gear_ratio=arm.gear_ratio), frozenset({hidden["name"], *rivals})
-    return diagnose(seen, robot, stated, holdout=fresh, holdout_kind="fresh", only=only), plant
+    bench = Bench(4, [hidden], poses=10 + FRESH)
+    first, last = bench.poses[:10], bench.poses[10:]
+    seen = concatenate([bench.table(first, "none"), bench.table(first, "tool")])
+    fresh, only = bench.table(last, "tool", 10), frozenset({hidden["name"], *rivals})
+    result = diagnose(seen, bench.robot, bench.options, holdout=fresh, holdout_kind="fresh", only=only)
+    return result, bench.plant
 
 
 @pytest.fixture(scope="module")

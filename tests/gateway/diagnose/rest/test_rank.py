@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
-import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
+from gateway.data.rows import concatenate
 from gateway.estimate import run
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_loads import loads_of
 from gateway.identify.rest.start_noise import first_noise
-from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import pair_visits
-from tests.data.arms import peer_of
-from tests.support.rigs.tables import make_table
+from tests.data.moving_arm import URDF
+from tests.gateway.estimate.conftest import Arm, make_measured
 
-URDF = (Path(__file__).parents[4] / "examples" / "small" / "robot.urdf").read_text()
 MASS, COM = 4.0, np.array([0.03, -0.02, 0.06])
 BAND = np.array([4.0, 5.0, 3.0, 0.8, 0.6, 0.4])
 
@@ -36,26 +34,10 @@ def postures(kind: str) -> np.ndarray:
 @pytest.fixture(scope="module", params=["joint 1", "joints 1 and 6"])
 def measured(request: pytest.FixtureRequest):
     """Both sides of twelve bare poses and of the three postures with the load."""
-    rng = np.random.default_rng(5)
-    model, data = peer_of(URDF)
-    bare, tool = pinocchio.Inertia(model.inertias[6]), pinocchio.Inertia(MASS, COM, np.zeros((3, 3)))
-    rows: list[tuple[str, int, float]] = []
-    torque, angles = [], []
-    poses = {"none": rng.uniform(-1.2, 1.2, (12, 6)), "tool": postures(request.param)}
-    for label, q_rad in poses.items():
-        model.inertias[6] = bare if label == "none" else bare + tool
-        for number, q in enumerate(q_rad):
-            gravity = pinocchio.computeGeneralizedGravity(model, data, q).copy()
-            for side in (1.0, -1.0):
-                rows.append((label, number + 100 * (label == "tool"), side))
-                torque.append(gravity + side * BAND * (1.0 - 0.05 * rng.uniform(size=6)))
-                angles.append(q)
-    load, pose, side = zip(*rows, strict=True)
-    table = make_table(
-        np.array(load), np.array(pose), np.array(angles), np.array(torque),
-        time=10.0 * np.arange(len(rows)), direction=np.array(side), std=0.01, count=100,
-    )  # fmt: skip
-    return table, robot_from_urdf(URDF, "small")
+    rng, arm = np.random.default_rng(5), Arm(URDF, BAND)
+    bare = make_measured(arm, rng.uniform(-1.2, 1.2, (12, 6)), {"none": None}, rng, left=0.02)
+    loaded = make_measured(arm, postures(request.param), {"tool": (MASS, *COM)}, rng, left=0.02)
+    return concatenate([bare, replace(loaded, pose=loaded.pose + 100)]), arm.robot
 
 
 @pytest.mark.parametrize("link_std", [np.inf, 0.05])

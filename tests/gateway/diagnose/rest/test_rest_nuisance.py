@@ -19,7 +19,7 @@ from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.effects.torque_constant_scale import TorqueConstantScale
 from gateway.model.effects.torque_offset import FrictionByDirection, TorqueOffset
 from gateway.model.visits import pair_visits
-from tests.data.resting_arm import Bench, problem_of
+from tests.data.resting_arm import Bench, problem_of, undirected
 
 N = 6
 
@@ -27,10 +27,6 @@ N = 6
 def one_sided(table):
     """Of every visit one side, by turns."""
     return table.take(np.arange(0, len(table.pose), 2) + np.arange(len(table.pose) // 2) % 2)
-
-
-def undirected(table):
-    return replace(table, direction=np.zeros_like(table.direction))
 
 
 def place_of(problem, rng):

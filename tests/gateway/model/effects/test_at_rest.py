@@ -49,7 +49,7 @@ def robot(arm: DrawnArm) -> Robot:
 
 @pytest.fixture(scope="module")
 def visits(arm: DrawnArm) -> list[PlannedVisit]:
-    poses = choose_poses(arm, 6, np.random.default_rng(2))
+    poses = choose_poses(arm.chain, arm.floor_nm, arm.prior_std, 6, np.random.default_rng(2))
     bare = [PlannedVisit(k, "none", STEP_S * k, q) for k, q in enumerate(poses)]
     return bare + [PlannedVisit(k, "tool", 500.0 + STEP_S * k, q) for k, q in enumerate(poses)]
 
