@@ -185,10 +185,27 @@ def _address(entry: Any) -> str:
 
 def _drives() -> str:
     rows = (
-        (f"`{each.name}`", each.description, _torque_word(each), each.torque.basis, "no" if each.obstacles else "yes")
+        (
+            f"`{each.name}`",
+            each.description,
+            _torque_word(each),
+            each.torque.basis,
+            ", ".join(_assumed(each.model_dump(exclude_none=True))),
+            "both" if each.heartbeat.producer_ms else "of the master",
+            "no" if each.obstacles else "yes",
+        )
         for each in map(load_profile, list_profiles())
     )
-    return table("| profile | drive | torque | source | moved |", rows)
+    return table("| profile | drive | torque | source | not verified | heartbeat watched | moved |", rows)
+
+
+def _assumed(values: dict[str, Any], above: str = "") -> Iterator[str]:
+    """Yield the keys of a profile whose source says that something in them is assumed."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _assumed(value, f"{above}{key}.")
+        elif key == "source" and "assumed" in value:
+            yield f"`{above.removesuffix('.')}`"
 
 
 def _of_profiles(texts: Callable[[DriveProfile], Iterable[str]]) -> str:

@@ -9,6 +9,7 @@ from drives.errors import SdoAbort
 TOGGLE_NOT_ALTERNATED: Final = 0x05030000
 TIMED_OUT: Final = 0x05040000
 COMMAND_UNKNOWN: Final = 0x05040001
+READ_ONLY: Final = 0x06010002
 NO_OBJECT: Final = 0x06020000
 NO_SUBINDEX: Final = 0x06090011
 NO_DATA: Final = 0x08000024
@@ -28,7 +29,7 @@ ABORT_CODES: Final[dict[int, tuple[str, str]]] = {
     0x05040005: ("out of memory", "restart the drive"),
     0x06010000: ("unsupported access to an object", "correct the profile: this object cannot be used this way"),
     0x06010001: ("attempt to read a write-only object", "correct the profile"),
-    0x06010002: ("attempt to write a read-only object", "the value is fixed in this drive; correct the profile"),
+    READ_ONLY: ("attempt to write a read-only object", "the value is fixed in this drive; correct the profile"),
     NO_OBJECT: ("object does not exist", "wrong profile or firmware: compare with the drive's object dictionary"),
     0x06040041: ("object cannot be mapped to a PDO", "correct the profile: choose an object that can be mapped"),
     0x06040042: ("number and length of the objects exceed the PDO", "correct the profile: at most eight bytes a PDO"),

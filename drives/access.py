@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, replace
 from typing import Final, NoReturn
 
-from drives.abort import ABSENT
+from drives.abort import ABSENT, READ_ONLY
 from drives.bus import Bus
 from drives.cia402 import AT_REST, decode_state
 from drives.errors import (
@@ -24,7 +24,7 @@ from drives.errors import (
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import KnownDevice, LedgerEntry, WriteLedger, Writer
 from drives.objects import OBJECTS, ObjectEntry, object_name
-from drives.pdo import PdoPlan, Step, differences, mapping_steps, restore_steps
+from drives.pdo import EVERY_SYNC, PdoPlan, Step, differences, is_received, mapping_steps, restore_steps
 from drives.profile import DriveProfile, ObjectReference
 from drives.sdo import NORMAL, SLOW, SdoClient, Transfer
 
@@ -322,8 +322,8 @@ class NodeAccess:
     def map_pdo(self, plan: PdoPlan) -> None:
         """Write a PDO configuration and read it back; nothing is written if it is already correct.
 
-        Its inhibit time is never written: it has no meaning for a synchronous PDO (CiA 301, 7.5.2.37), and many drives
-        refuse to change it while the PDO exists.
+        Identifier and type may be read-only: what counts is what is read back. Its inhibit time is never written: it
+        has no meaning for a synchronous PDO (CiA 301, 7.5.2.37), and many drives refuse to change it while it exists.
 
         Raises
         ------
@@ -332,14 +332,19 @@ class NodeAccess:
         SdoError
             A transfer failed.
         """
-        if differences(plan, self.sdo.read):
+        fixed = is_received(plan) and self.sdo.read(plan.communication, 2, "u8") != EVERY_SYNC
+        if fixed or differences(plan, self.sdo.read):
             cob_id = self.sdo.read(plan.communication, 1, "u32")
             steps = mapping_steps(plan, cob_id)
             for step in steps:
                 self._check_allowed(step)
             self.note_steps(steps)
             for step in steps:
-                self._send(step)
+                try:
+                    self._send(step)
+                except SdoAbort as abort:
+                    if abort.code != READ_ONLY or step.index != plan.communication:
+                        raise
             written = [entry for entry in self.noted if _record(entry.index) == plan.communication]
             self._ledger.confirm(self.device, self._read_entries(written, {}))
             left = differences(plan, self.sdo.read)
@@ -347,6 +352,9 @@ class NodeAccess:
                 what = f"{plan.name} {', '.join(left)} after it was written"
                 advice = "the drive's PDOs may be fixed: see its manual"
                 raise ConfigurationRefused(what, node=self.node_id, index=plan.mapping, advice=advice)
+        if is_received(plan):
+            kind = (plan.communication, 2)
+            self._configured[kind] = ("u8", self.sdo.read(*kind, "u8"))
 
     def _before(self, address: Address, data_type: str) -> int:
         """Return an object's value before a write; 0 for a mapping entry beyond the mapped ones."""

@@ -32,8 +32,8 @@ from drives.heartbeat import NmtCommand, send_nmt
 from drives.instrument import Instrument
 from drives.ledger import KnownDevice, without_shared_serials
 from drives.nodes import Node, Nodes
-from drives.objects import OBJECTS
-from drives.pdo import VELOCITY_OFFSET, Step
+from drives.objects import OBJECTS, RPDO_MAPPING
+from drives.pdo import TORQUE_OFFSET, VELOCITY_OFFSET, Step
 from drives.scaling import read_constants
 
 _SYNC_PRODUCER: Final = 1 << 30
@@ -115,7 +115,7 @@ def receive_emergencies(nodes: Nodes) -> None:
 def _emergency_id(access: NodeAccess) -> int | None:
     """Return the CAN id of the emergency messages of a node; None = not stated, the standard identifier applies."""
     entry, standard = OBJECTS["emcy_cob_id"], f"set 0x1014 to {EMCY_BASE + access.node_id:#x} in the drive"
-    cob_id = access.read_optional(entry)
+    cob_id = access.read_readable(entry)
     if cob_id is None:
         return None
     if cob_id & _EMCY_OFF:
@@ -205,11 +205,11 @@ def check_units(device: Instrument, _period_s: float) -> None:
 def check_sync(node: Node, _period_s: float) -> None:
     """Refuse a node that takes SYNC with another identifier or a counter, or produces it (0x1005, 0x1019)."""
     access = node.access
-    cob_id = access.read_optional(OBJECTS["sync_cob_id"])
+    cob_id = access.read_readable(OBJECTS["sync_cob_id"])
     if cob_id is not None and (cob_id & 0x7FF != 0x080 or cob_id & _SYNC_PRODUCER):
         what = f"SYNC COB-ID is {cob_id:#010x}: it must be 0x80, and the drive must not produce SYNC"
         access.refuse(OBJECTS["sync_cob_id"], what, "set 0x1005 to 0x80")
-    overflow = access.read_optional(OBJECTS["sync_counter_overflow"])
+    overflow = access.read_readable(OBJECTS["sync_counter_overflow"])
     if overflow:
         what = f"expects SYNC frames with a counter (0x1019 = {overflow})"
         access.refuse(OBJECTS["sync_counter_overflow"], what, "set 0x1019 to 0")
@@ -220,11 +220,12 @@ def leave_operational(node: Node, _period_s: float) -> None:
     send_nmt(node.access.bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
 
 
-def clear_velocity_offset(drive: Cia402Drive, _period_s: float) -> None:
-    """Write 0 to the velocity offset (0x60B1) where this run or an earlier one uses it."""
-    rpdo = drive.commands[0]
-    if drive.setup.feedforward or drive.access.is_in_ledger(VELOCITY_OFFSET.index, rpdo.mapping + 1):
-        drive.access.write(VELOCITY_OFFSET, 0, "clear the velocity offset of an earlier run")
+def clear_offsets(drive: Cia402Drive, _period_s: float) -> None:
+    """Write 0 to the velocity and torque offsets (0x60B1, 0x60B2) where this run or an earlier master uses them."""
+    access, setup = drive.access, drive.setup
+    for entry, is_used in ((VELOCITY_OFFSET, setup.feedforward), (TORQUE_OFFSET, setup.uses_torque_offset)):
+        if is_used or access.is_in_ledger(entry.index, RPDO_MAPPING + 1) or access.read_readable(entry):
+            access.write(entry, 0, "clear the offset of an earlier run")
 
 
 def settle_sync_period(node: Node, period_s: float) -> None:
@@ -241,7 +242,7 @@ def settle_sync_period(node: Node, period_s: float) -> None:
     """
     access, entry = node.access, OBJECTS["communication_cycle_period"]
     period_us = round(period_s * 1e6)
-    held_us = access.read_optional(entry)
+    held_us = access.read_readable(entry)
     if not held_us:
         return
     if not access.may_write(entry.index):
@@ -282,9 +283,11 @@ def limit_torque(drive: Cia402Drive, _period_s: float) -> None:
 
 
 def set_mode(drive: Cia402Drive, _period_s: float) -> None:
-    """Set cyclic synchronous position mode (0x6060), and read it back if it is shown before enabling (0x6061)."""
-    access, mode = drive.access, Mode.CYCLIC_SYNC_POSITION
-    access.write(OBJECTS["mode"], mode.value, f"mode {mode.name.lower().replace('_', ' ')}")
+    """Set the cyclic mode of the profile (0x6060), and read it back if it is shown before enabling (0x6061)."""
+    access, mode, kind = drive.access, drive.mode, OBJECTS["interpolation_kind"]
+    if mode is Mode.INTERPOLATED_POSITION and access.read_readable(kind):
+        access.write(kind, 0, "linear interpolation")
+    access.write(OBJECTS["mode"], mode.value, f"mode {mode}")
     machine = access.profile.state_machine
     if not machine.mode_before_enable:
         return
@@ -388,10 +391,15 @@ def decimal_periods(seconds: float, own_exponent: int = PERIOD_EXPONENTS[0]) -> 
 
 
 def set_heartbeat(drive: Cia402Drive, _period_s: float) -> None:
-    """Set the period of the drive's heartbeat (0x1017), where the profile states one."""
-    producer_ms = drive.setup.profile.heartbeat.producer_ms
-    if producer_ms is not None:
-        drive.access.write(OBJECTS["producer_heartbeat"], producer_ms, "heartbeat of the drive")
+    """Set the period of the drive's heartbeat (0x1017), where the profile states one; with node guarding there is none.
+
+    A node with a heartbeat does not answer node guarding (CiA 301, 7.2.8.3).
+    """
+    heartbeat, entry = drive.setup.profile.heartbeat, OBJECTS["producer_heartbeat"]
+    if heartbeat.producer_ms is not None:
+        drive.access.write(entry, heartbeat.producer_ms, "heartbeat of the drive")
+    elif heartbeat.watchdog == "node guarding" and drive.access.read_readable(entry):
+        drive.access.write(entry, 0, "node guarding instead of a heartbeat")
 
 
 def settle_quick_stop(drive: Cia402Drive, _period_s: float) -> None:
@@ -429,14 +437,15 @@ def settle_quick_stop(drive: Cia402Drive, _period_s: float) -> None:
 
 
 def set_abort_connection(drive: Cia402Drive, _period_s: float) -> None:
-    """Set the reaction to a lost master (0x6007)."""
-    reason = "reaction of the drive when the master's heartbeat stops"
+    """Set the reaction to a lost master (0x6007), where the drive has one to set."""
     option = drive.setup.profile.heartbeat.abort_connection
-    drive.access.write(OBJECTS["abort_connection_option"], option, reason)
+    if option is not None:
+        reason = "reaction of the drive when the master's heartbeat stops"
+        drive.access.write(OBJECTS["abort_connection_option"], option, reason)
 
 
 def disarm(drive: Cia402Drive, _period_s: float) -> None:
-    """End the drive's monitoring of the master until it is enabled (0x1016)."""
+    """End the drive's monitoring of the master until it is enabled (0x1016, or 0x100C and 0x100D)."""
     drive.disarm()
 
 
@@ -460,7 +469,7 @@ SETTINGS: Final[tuple[Callable[[Cia402Drive, float], None], ...]] = (
     read_scale,
     check_sync,
     leave_operational,
-    clear_velocity_offset,
+    clear_offsets,
     settle_sync_period,
     switch_off_pdos,
     map_pdos,

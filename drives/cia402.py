@@ -43,6 +43,9 @@ class Mode(Enum):
     CYCLIC_SYNC_VELOCITY = 9
     CYCLIC_SYNC_TORQUE = 10
 
+    def __str__(self) -> str:
+        return self.name.lower().replace("_sync_", " synchronous ").replace("_", " ")
+
 
 # Controlword commands: bits 0 switch on, 1 enable voltage, 2 quick stop (low active), 3 enable operation.
 DISABLE_VOLTAGE: Final = 0x0000
@@ -55,6 +58,10 @@ ENABLE_OPERATION: Final = 0x000F
 FAULT_RESET: Final = 0x0080
 #: Controlwords that reset a fault, in their order.
 RESET: Final = (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE)
+
+#: Bit of the controlword that lets an enabled axis follow the setpoints, by mode in which the master streams them (CiA
+#: 402-2, interpolated position mode: enable interpolation). The drive takes it in OPERATION ENABLED only.
+FOLLOWING: Final = {Mode.INTERPOLATED_POSITION: 1 << 4, Mode.CYCLIC_SYNC_POSITION: 0}
 
 # Statusword bits outside the state.
 VOLTAGE_ENABLED: Final = 1 << 4

@@ -8,7 +8,7 @@ from typing import Final
 from drives import drive_limits
 from drives.access import ObjectAccess
 from drives.bus import Bus
-from drives.cia402 import ENABLE_OPERATION, FAULTED, RESET, State, decode_state, describe
+from drives.cia402 import ENABLE_OPERATION, FAULTED, FOLLOWING, RESET, Mode, State, decode_state, describe
 from drives.errors import (
     CommandRefused,
     ConfigurationRefused,
@@ -16,10 +16,11 @@ from drives.errors import (
     DriveFault,
     IdentityMismatch,
 )
+from drives.heartbeat import SIGNS_IN_TIME
 from drives.ledger import WriteLedger
 from drives.objects import OBJECTS
 from drives.other_pdos import OtherPdo
-from drives.pdo import COMMAND, OFFSET, PdoPlan, rpdo_plans, tpdo_plans
+from drives.pdo import COMMAND, TORQUE, VELOCITY, PdoPlan, rpdo_plans, tpdo_plans
 from drives.scaling import Constants, MotorScale, motor_scale
 from drives.sdo import NORMAL, ONCE, Transfer
 from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
@@ -60,7 +61,9 @@ class Cia402Drive:
         self._bus = bus
         self._scale: MotorScale | None = None
         #: PDO configurations of the cyclic exchange: what is sent, and what is answered.
-        self.commands = rpdo_plans(self.node_id, setup.feedforward)
+        self.commands = rpdo_plans(setup.profile, self.node_id, setup.feedforward, setup.uses_torque_offset)
+        #: In which it takes the setpoints.
+        self.mode = Mode(setup.profile.state_machine.cyclic_mode)
         self._tpdos, _ = tpdo_plans(setup.profile, self.node_id)
         #: RPDOs of the stored target, after `pack`.
         self.frames = tuple(bus.prepare(plan.cob_id, plan.size_bytes) for plan in self.commands)
@@ -141,13 +144,20 @@ class Cia402Drive:
         return [f"{each.what}: {each.describe(value)}" for each, value in values if not each.holds(value)]
 
     def arm(self, master_node_id: int) -> None:
-        """Make the drive monitor the master's heartbeat (0x1016), from the first heartbeat on."""
-        value = master_node_id << 16 | self.setup.profile.heartbeat.consumer_ms
-        self.access.write(OBJECTS["consumer_heartbeat"], value, "the drive stops when the master's heartbeat stops")
+        """Make the drive watch the master, from its first heartbeat (0x1016) or node guarding request (0x100C) on."""
+        reason, heartbeat = "the drive stops when the master is lost", self.setup.profile.heartbeat
+        if heartbeat.watchdog == "heartbeat":
+            value = master_node_id << 16 | heartbeat.consumer_ms
+            self.access.write(OBJECTS["consumer_heartbeat"], value, reason)
+        else:
+            self.access.write(OBJECTS["guard_time"], heartbeat.consumer_ms // SIGNS_IN_TIME, reason)
+            self.access.write(OBJECTS["life_time_factor"], SIGNS_IN_TIME, reason)
 
     def disarm(self) -> None:
-        """End the drive's monitoring of the master's heartbeat."""
-        self.access.write(OBJECTS["consumer_heartbeat"], 0, "the drive no longer monitors the master's heartbeat")
+        """End the drive's monitoring of the master."""
+        is_guarded = self.setup.profile.heartbeat.watchdog == "node guarding"
+        for name in ("guard_time", "life_time_factor") if is_guarded else ("consumer_heartbeat",):
+            self.access.write(OBJECTS[name], 0, "the drive no longer watches the master")
 
     def statusword(self) -> int:
         """Read the statusword by SDO."""
@@ -219,8 +229,8 @@ class Cia402Drive:
         scale = self._scale or self.scale
         try:
             count = round(command.position_rad / scale.count_rad)
-            offset = self._offset(command.torque_offset_nm) if command.torque_offset_nm else 0
             velocity = self._velocity(command.velocity_offset_rad_s) if command.velocity_offset_rad_s else 0
+            offset = self._torque(command.torque_offset_nm) if command.torque_offset_nm else 0
         except (ValueError, OverflowError) as error:
             raise CommandRefused(f"{command} is not a valid target: {error}", node=self.node_id) from error
         lowest, highest = self.limit_count
@@ -231,7 +241,7 @@ class Cia402Drive:
             what = f"target requires {abs(step) * scale.count_rad / self.sync_period_s:.1f} rad/s"
             advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
             raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
-        self._staged = (count, offset, velocity)
+        self._staged = (count, velocity, offset)
 
     def _not_further_out(self, count: int) -> int:
         """Return a target outside the limits, or the present setpoint where an axis that is held there stays there.
@@ -265,11 +275,13 @@ class Cia402Drive:
             raise CommandRefused(what, node=self.node_id, index=0x60B1, advice=advice)
         return round(velocity_rad_s / unit)
 
-    def _offset(self, torque_nm: float) -> int:
+    def _torque(self, torque_nm: float) -> int:
         unit = self.scale.offset_nm
-        if unit is None:
-            advice = f"give [torque_offset] in profile {self.setup.profile.name}"
-            raise CommandRefused("the scaling of 0x60B2 is not known", node=self.node_id, index=0x60B2, advice=advice)
+        if not self.setup.uses_torque_offset or unit is None:
+            advice = "set the drive up with a torque offset, and state the scaling of 0x60B2 in its profile"
+            raise CommandRefused(
+                "is not configured for a torque offset", node=self.node_id, index=0x60B2, advice=advice
+            )
         offset = round(torque_nm / unit)
         if abs(offset) > _I16_MAX:
             what = f"torque offset {torque_nm:.3f} Nm does not fit 0x60B2"
@@ -281,15 +293,20 @@ class Cia402Drive:
         self._held_count = position_count
         self._staged = (position_count, 0, 0)
 
-    def pack(self, controlword: int) -> None:
+    def pack(self, controlword: int, state: State | None = None) -> None:
         """Write the stored target into `frames`; it counts as commanded from now on.
 
-        Offsets are sent only beside the controlword that keeps OPERATION ENABLED.
+        Offsets are sent only beside the controlword that keeps OPERATION ENABLED; in a drive that is read in that
+        state, its bit for following the setpoints is set beside it.
         """
         if controlword != ENABLE_OPERATION:
             self._staged = (self._staged[0], 0, 0)
-        count, offset, velocity = self._staged
+        elif state is State.OPERATION_ENABLED:
+            controlword |= FOLLOWING[self.mode]
+        count, velocity, torque = self._staged
         self.target_count = count
-        COMMAND.pack_into(self.frames[0].data, 0, controlword, count, offset)
+        COMMAND.pack_into(self.frames[0].data, 0, controlword, count)
+        if self.setup.uses_torque_offset:
+            TORQUE.pack_into(self.frames[0].data, COMMAND.size, torque)
         if self.setup.feedforward:
-            OFFSET.pack_into(self.frames[1].data, 0, velocity)
+            VELOCITY.pack_into(self.frames[1].data, 0, velocity)

@@ -50,6 +50,8 @@ class Emergency:
         Up to five bytes with a meaning defined by the vendor.
     text, advice : str
         From the drive's profile or from the class of the code.
+    is_harmless : bool
+        The axes go on: it reports an error reset, or the profile lists it as a warning.
     """
 
     node_id: int
@@ -59,11 +61,7 @@ class Emergency:
     vendor: bytes
     text: str
     advice: str
-
-    @property
-    def is_reset(self) -> bool:
-        """Return whether the message reports an error reset."""
-        return self.code is not None and self.code & 0xFF00 == 0
+    is_harmless: bool
 
     @property
     def what(self) -> str:
@@ -99,7 +97,8 @@ def parse_emergency(node_id: int, data: bytes, sync_index: int, profile: DrivePr
         text, advice = "frame too short for an error code", "read 0x603F and the error history 0x1003"
     else:
         text, advice = code_class(code), ""
-    return Emergency(node_id, sync_index, code, register, bytes(data[3:8]), text, advice)
+    is_harmless = code is not None and code & 0xFF00 == 0 or entry is not None and entry.warning
+    return Emergency(node_id, sync_index, code, register, bytes(data[3:8]), text, advice, is_harmless)
 
 
 def code_class(code: int) -> str:
@@ -144,10 +143,10 @@ class EmcyLog:
         self._kept.append(parse_emergency(node_id, bytes(data), self.sync_index, self._profiles.get(node_id)))
 
     def last(self, node_id: int) -> Emergency | None:
-        """Return the newest message of a node that is not an error reset."""
-        return next((each for each in reversed(self._kept) if each.node_id == node_id and not each.is_reset), None)
+        """Return the newest message of a node that is not harmless."""
+        return next((each for each in reversed(self._kept) if each.node_id == node_id and not each.is_harmless), None)
 
     def last_clause(self, node_id: int) -> str:
-        """Return the newest message of a node that is not an error reset, as a clause that ends an error message."""
+        """Return the newest message of a node that is not harmless, as a clause that ends an error message."""
         last = self.last(node_id)
         return "" if last is None else f"; last emergency: {last.text}{f' ({last.advice})' if last.advice else ''}"

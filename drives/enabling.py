@@ -16,7 +16,7 @@ from typing import Final
 
 from drives.bringup import refuse_mode
 from drives.bus import Bus
-from drives.cia402 import Mode, NoRoute, State, decode_state, describe, enabling_controlword
+from drives.cia402 import NoRoute, State, decode_state, describe, enabling_controlword
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
 from drives.errors import (
@@ -198,7 +198,7 @@ def _walk(exchange: SyncExchange, monitor: Monitor, epoch: Epoch, check_stop: Ca
     brake_s = max(machine.brake_delay_s for machine in machines)
     limit_s = _TRANSITIONS * max(machine.transition_timeout_s for machine in machines) + brake_s
     held = tuple(reading.position_count for reading in epoch.readings if reading is not None)
-    mode, display = Mode.CYCLIC_SYNC_POSITION, OBJECTS["mode_display"]
+    display = OBJECTS["mode_display"]
     late = [drive for drive, machine in zip(drives, machines, strict=True) if not machine.mode_before_enable]
     #: Of drives that show their mode only when they are enabled: the question that is open.
     asked = {drive: drive.access.sdo.post(*display.address, display.type) for drive in late}
@@ -223,11 +223,11 @@ def _walk(exchange: SyncExchange, monitor: Monitor, epoch: Epoch, check_stop: Ca
         check_stop()
         all_enabled |= epoch.complete and all(state is State.OPERATION_ENABLED for state in states)
         for drive, answer in list(asked.items()) if all_enabled else ():
-            if answer.value == mode.value:
+            if answer.value == drive.mode.value:
                 del asked[drive]
             elif answer.answered or time.monotonic() > answer.until_s:
                 if epoch.time_s - began_s > limit_s:
-                    refuse_mode(drive.access, mode, answer.value)
+                    refuse_mode(drive.access, drive.mode, answer.value)
                 asked[drive] = drive.access.sdo.post(*display.address, display.type)
         if epoch.time_s - began_s > limit_s and not (asked and all_enabled):
             raise_failures(_overdue(exchange, epoch, limit_s))

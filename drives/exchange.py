@@ -251,7 +251,7 @@ class SyncExchange:
         for drive, word, state in () if words is None else zip(self.drives, words, self.states, strict=True):
             before = drive.target_count
             recall.append(before)
-            drive.pack(word)
+            drive.pack(word, state)
             if word == ENABLE_OPERATION:
                 self.powered = True
                 self._moves |= drive.target_count != before and state is State.OPERATION_ENABLED

@@ -203,7 +203,7 @@ class Gate:
             if failure is None and drive.node_id in self._watch.booted:
                 what = "restarted (boot-up message) after it was configured"
                 failure = DriveRebooted(what, node=drive.node_id, advice=_AGAIN)
-            elif failure is None and sent is not None and not sent.is_reset:
+            elif failure is None and sent is not None and not sent.is_harmless:
                 what = f"sent an emergency while it was disabled: {sent.what}"
                 failure = DriveFault(what, node=drive.node_id, code=sent.code, advice=sent.advice or _AGAIN)
             elif failure is None and is_stopped and self._watch.contrary[drive.node_id] > _SENT_BEFORE:

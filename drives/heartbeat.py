@@ -1,4 +1,4 @@
-"""NMT commands and heartbeat (CiA 301, 7.2.8): producer of the master's heartbeat, monitor of the drives' heartbeats.
+"""NMT commands, heartbeat and node guarding (CiA 301, 7.2.8): the master's, and the monitor of the drives' heartbeats.
 
 A drive is monitored from its first heartbeat on.
 """
@@ -15,6 +15,8 @@ from drives.bus import HEARTBEAT_BASE, NMT_ID, Bus
 
 #: Node id with which a master sends its heartbeat.
 MASTER_NODE_ID: Final = 127
+#: Heartbeats or guarding requests of the master within the time after which a drive treats it as lost.
+SIGNS_IN_TIME: Final = 4
 
 
 class NmtCommand(IntEnum):
@@ -51,7 +53,8 @@ def send_nmt(bus: Bus, command: NmtCommand, node_id: int) -> None:
 class HeartbeatProducer:
     """Sends the master's heartbeat when it is due, by SYNC time or by the wall clock, whichever comes first.
 
-    While it runs, it is also sent whenever the bus waits for an answer.
+    Beside it a remote frame goes to each drive that watches node guarding instead. While it runs, both are also sent
+    whenever the bus waits for an answer.
 
     Parameters
     ----------
@@ -59,17 +62,27 @@ class HeartbeatProducer:
     master_node_id : int
         Node id of the master.
     consumer_s : float
-        Shortest heartbeat consumer time of the drives [s]; four heartbeats are sent in that time.
+        Shortest time after which a drive treats the master as lost [s].
     sync_time_s : callable
         Time that the drives count by SYNCs [s].
+    guarded : sequence of int
+        Nodes that watch node guarding.
     """
 
-    def __init__(self, bus: Bus, master_node_id: int, consumer_s: float, sync_time_s: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        master_node_id: int,
+        consumer_s: float,
+        sync_time_s: Callable[[], float],
+        guarded: Sequence[int] = (),
+    ) -> None:
         self.running = False
         self._bus = bus
-        self._frame = bus.prepare(HEARTBEAT_BASE + master_node_id, 1)
-        self._frame.data[0] = NmtState.OPERATIONAL
-        self._interval_s = consumer_s / 4.0
+        beat = bus.prepare(HEARTBEAT_BASE + master_node_id, 1)
+        beat.data[0] = NmtState.OPERATIONAL
+        self._frames = (beat, *(bus.prepare(HEARTBEAT_BASE + node_id, 1, is_remote=True) for node_id in guarded))
+        self._interval_s = consumer_s / SIGNS_IN_TIME
         self._due_s = self._sync_time_due_s = 0.0
         self._sync_time_s = sync_time_s
 
@@ -92,7 +105,8 @@ class HeartbeatProducer:
             self._beat(now_s, sync_time_s)
 
     def _beat(self, now_s: float, sync_time_s: float) -> None:
-        self._bus.send_frame(self._frame)
+        for frame in self._frames:
+            self._bus.send_frame(frame)
         self._due_s, self._sync_time_due_s = now_s + self._interval_s, sync_time_s + self._interval_s
 
 

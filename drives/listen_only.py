@@ -139,8 +139,8 @@ class ListenOnlyBus:
             drive.learn(data)
 
         def on_command(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:
-            if len(data) == COMMAND.size:
-                drive.target_count = COMMAND.unpack(data)[1]
+            if len(data) >= COMMAND.size:
+                drive.target_count = COMMAND.unpack_from(data)[1]
 
         def on_emergency(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:
             self.emergencies.append(parse_emergency(node_id, bytes(data), self.sync_index, drive.setup.profile))
@@ -155,7 +155,7 @@ class ListenOnlyBus:
 
             self.bus.subscribe(plan.cob_id, on_frame)
         self.bus.subscribe(SDO_ANSWER_BASE + node_id, on_answer)
-        self.bus.subscribe(rpdo_plans(node_id)[0].cob_id, on_command)
+        self.bus.subscribe(rpdo_plans(drive.setup.profile, node_id)[0].cob_id, on_command)
         self.bus.subscribe(EMCY_BASE + node_id, on_emergency)
 
     def _on_sync(self, _can_id: int, _data: bytes | bytearray, time_s: float) -> None:

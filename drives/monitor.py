@@ -43,9 +43,9 @@ _ATTEMPTS: Final = 2
 #: SYNCs that the answer to SYNC has to stay the same after SDO has reported another value: an axis that has just begun
 #: to move shows it by SDO first.
 SETTLED_SYNCS: Final = 2
-#: Expected bits of the statusword. Not every drive sets bit 12 in a cyclic mode: it is expected once it was seen.
-_EXPECTED: Final = ENABLED_PATTERN | REMOTE
-_WATCHED: Final = reduce(or_, (rule.bits for rule in DRIVE_RULES.values())) & ~FOLLOWS_COMMAND
+#: Bits of the statusword that not every drive sets in a cyclic mode: each is expected once it was seen.
+_LEARNT: Final = FOLLOWS_COMMAND | REMOTE
+_WATCHED: Final = reduce(or_, (rule.bits for rule in DRIVE_RULES.values())) & ~_LEARNT
 #: Rules of single bits, which one message names together.
 _BIT_RULES: Final = [rule for rule in DRIVE_RULES.values() if rule.bits & ~STATE_MASK]
 #: Rules that hold as soon as the bus is used, as the drives are started by NMT, as every axis is enabled.
@@ -117,7 +117,8 @@ class Monitor:
         self._emcy_seen = self.emcy.count
         self._foreign_before, self._foreign_seen = dict(self._bus.foreign), self._bus.foreign_count
         #: By axis: expected bits, SYNCs in a row without each of them, SYNCs in a row with the same answer, and that.
-        self._expected = [_EXPECTED] * axes
+        self._expected = [ENABLED_PATTERN] * axes
+        self._meaningful = [~drive.setup.profile.state_machine.ignored_status for drive in self._exchange.drives]
         self._odd: list[dict[int, int]] = [{} for _ in range(axes)]
         self._same = [0] * axes
         self._last: list[tuple[int, int] | None] = [None] * axes
@@ -128,13 +129,14 @@ class Monitor:
         """Every node has started: reset its recorded state, and drop emergencies that were reported as cleared."""
         self.watch.contrary.clear()
         new = self.emcy.count - self._emcy_seen
-        if new and all(each.is_reset for each in {each.node_id: each for each in self.emcy.messages[-new:]}.values()):
+        latest = {each.node_id: each for each in self.emcy.messages[-new:]} if new else {}
+        if latest and all(each.is_harmless for each in latest.values()):
             self._emcy_seen = self.emcy.count
 
     def excuse(self, axes: frozenset[int]) -> None:
         """From now on these axes (from 0) and no others may leave OPERATION ENABLED."""
         for axis in axes - self.excused:
-            self._odd[axis], self._same[axis], self._last[axis], self._expected[axis] = {}, 0, None, _EXPECTED
+            self._odd[axis], self._same[axis], self._last[axis], self._expected[axis] = {}, 0, None, ENABLED_PATTERN
             self._queries.pop(axis, None)
         self.excused = axes
 
@@ -154,13 +156,14 @@ class Monitor:
         SeveralFailures
         """
         expected, last, same, excused = self._expected, self._last, self._same, self.excused
+        meaningful = self._meaningful
         is_regular = True
         for axis, reading in enumerate(epoch.readings):
             if reading is None:
                 is_regular = False
             elif axis not in excused:
                 word, good = reading.statusword, expected[axis]
-                if odd := (word ^ good) & (_WATCHED | good):
+                if odd := (word ^ good) & (_WATCHED | good) & meaningful[axis]:
                     is_regular = False
                 if odd or self._odd[axis]:
                     self._odd[axis] = {
@@ -174,8 +177,8 @@ class Monitor:
                 else:
                     last[axis], same[axis] = answer, 0
                     self._queries.pop(axis, None)
-                if word & ~good & FOLLOWS_COMMAND:
-                    expected[axis] = good | FOLLOWS_COMMAND
+                if word & ~good & _LEARNT:
+                    expected[axis] = good | word & _LEARNT
         bus, watch = self._bus, self.watch
         has_counted = bus.foreign_count != self._foreign_seen or self.emcy.count != self._emcy_seen
         if not is_regular or has_counted or watch.contrary or watch.booted or bus.bus_off:
@@ -242,7 +245,7 @@ class Monitor:
     def _emergencies(self, rule: Rule) -> Counts:
         new, self._emcy_seen = self.emcy.count - self._emcy_seen, self.emcy.count
         sent = self.emcy.messages[-new:] if new else ()
-        first = {each.node_id: each for each in reversed(sent) if not each.is_reset}
+        first = {each.node_id: each for each in reversed(sent) if not each.is_harmless}
         for node, each in sorted(first.items()):
             yield 1, rule.raised(f"sent an emergency: {each.what}", node=node, code=each.code)
 

@@ -79,7 +79,10 @@ class Nodes:
         self.timing = Timing(sync_period_s, pacing, self.options)
         consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
         #: Of the master.
-        self.heartbeat = HeartbeatProducer(bus, master_node_id, consumer_s, lambda: self.sync_index * sync_period_s)
+        guarded = [each.node_id for each in setups if each.profile.heartbeat.watchdog == "node guarding"]
+        self.heartbeat = HeartbeatProducer(
+            bus, master_node_id, consumer_s, lambda: self.sync_index * sync_period_s, guarded
+        )
         self.ledger = WriteLedger(self.options.ledger_path)
         self.emcy = EmcyLog({setup.node_id: setup.profile for setup in setups})
         self.drives: tuple[Cia402Drive, ...] = ()

@@ -1,8 +1,9 @@
 """PDO mapping of the cyclic exchange: objects of each frame, and the order of the writes (CiA 301, 7.5.2.36).
 
-RPDO1 = controlword, target position, torque offset. TPDO1 = statusword, position and, if it fits, the torque object.
-TPDO2, where it is needed = the torque object if it did not fit, velocity, current. All synchronous, every SYNC.
-RPDO2, only in a run with feedforward = velocity offset; the torque offset stays in RPDO1.
+RPDO1 = controlword, target position and, in a run that uses it, torque offset. TPDO1 = statusword, position and, if it
+fits, the torque object. TPDO2, where it is needed = the torque object if it did not fit, velocity, current. RPDO2, only
+in a run with feedforward = velocity offset. All synchronous, every SYNC; an RPDO whose type is fixed at 254 or 255 acts
+when it comes, just before the SYNC.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from drives.objects import (
 from drives.profile import DriveProfile, ObjectReference
 
 EVERY_SYNC: Final = 1
+#: Types of an RPDO that acts when it comes (CiA 301, table 68).
+_AT_ONCE: Final = (254, 255)
 INVALID: Final = 1 << 31
 _NO_RTR: Final = 1 << 30
 _MAX_BITS: Final = 64
@@ -32,14 +35,19 @@ Role = Literal["statusword", "position", "torque", "velocity", "current"]
 
 CONTROLWORD: Final = ObjectReference(index=0x6040, type="u16")
 STATUSWORD: Final = ObjectReference(index=0x6041, type="u16")
-TARGET_POSITION: Final = ObjectReference(index=0x607A, type="i32")
+#: Target position by mode of operation: 7 interpolated position, 8 cyclic synchronous position.
+TARGET_POSITION: Final = {
+    7: ObjectReference(index=0x60C1, subindex=1, type="i32"),
+    8: ObjectReference(index=0x607A, type="i32"),
+}
 TORQUE_OFFSET: Final = ObjectReference(index=0x60B2, type="i16")
 VELOCITY_OFFSET: Final = ObjectReference(index=0x60B1, type="i32")
 
-#: What the master sends: controlword, target position (counts), torque offset (raw).
-COMMAND: Final = struct.Struct("<Hih")
-#: What it sends beside that in a run with feedforward: velocity offset (raw).
-OFFSET: Final = struct.Struct("<i")
+#: What the master sends: controlword, target position (counts).
+COMMAND: Final = struct.Struct("<Hi")
+#: What it sends beside that in a run with a torque offset, and in one with a velocity offset (raw).
+TORQUE: Final = struct.Struct("<h")
+VELOCITY: Final = struct.Struct("<i")
 
 #: Reads one object as a number, by index, subindex and type.
 Read = Callable[[int, int, str], int]
@@ -94,9 +102,12 @@ class Step:
         return self.index, self.subindex
 
 
-def rpdo_plans(node_id: int, feedforward: bool = False) -> tuple[PdoPlan, ...]:
+def rpdo_plans(
+    profile: DriveProfile, node_id: int, feedforward: bool = False, torque_offset: bool = False
+) -> tuple[PdoPlan, ...]:
     """Return the RPDO configurations of a node, RPDO1 first; RPDO2 only in a run with feedforward."""
-    entries = (CONTROLWORD, TARGET_POSITION, TORQUE_OFFSET)
+    setpoint = (CONTROLWORD, TARGET_POSITION[profile.state_machine.cyclic_mode])
+    entries = (*setpoint, TORQUE_OFFSET) if torque_offset else setpoint
     first = PdoPlan("RPDO1", RPDO_COMMUNICATION, RPDO_MAPPING, 0x200 + node_id, entries)
     second = PdoPlan("RPDO2", RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x300 + node_id, (VELOCITY_OFFSET,))
     return (first, second) if feedforward else (first,)
@@ -154,7 +165,7 @@ def differences(plan: PdoPlan, read: Read) -> list[str]:
     if cob_id & 0x1FFFFFFF != plan.cob_id:
         found.append(f"has COB-ID {cob_id & 0x1FFFFFFF:#x} instead of {plan.cob_id:#x}")
     transmission = read(plan.communication, 2, "u8")
-    if transmission != EVERY_SYNC:
+    if transmission != EVERY_SYNC and not (is_received(plan) and transmission in _AT_ONCE):
         found.append(f"has transmission type {transmission} instead of {EVERY_SYNC}")
     count = read(plan.mapping, 0, "u8")
     if count != len(plan.entries):
@@ -165,6 +176,11 @@ def differences(plan: PdoPlan, read: Read) -> list[str]:
         if mapped != entry.mapping:
             found.append(f"maps {mapped:08X} at place {number} instead of {entry.mapping:08X}")
     return found
+
+
+def is_received(plan: PdoPlan) -> bool:
+    """Return whether the node receives this PDO."""
+    return plan.communication < TPDO_COMMUNICATION
 
 
 def mapping_steps(plan: PdoPlan, cob_id_now: int) -> list[Step]:

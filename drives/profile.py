@@ -11,7 +11,15 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, SIZE_BYTES, TPDO_COMMUNICATION, TPDO_MAPPING, DataType
+from drives.objects import (
+    OBJECTS,
+    RPDO_COMMUNICATION,
+    RPDO_MAPPING,
+    SIZE_BYTES,
+    TPDO_COMMUNICATION,
+    TPDO_MAPPING,
+    DataType,
+)
 from drives.validation import Strict
 
 Source = Annotated[str, Field(min_length=1, description="source of the number: datasheet page, read, assumed")]
@@ -21,19 +29,25 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 #: Objects that no profile may allow: storing and restoring parameters is never the master's business.
 _FORBIDDEN_WRITES = {0x1010: "storing parameters", 0x1011: "restoring factory parameters"}
-#: Objects that the master writes on every drive.
-NEEDED_WRITES = (
-    0x1016,
-    RPDO_COMMUNICATION,
-    RPDO_MAPPING,
-    TPDO_COMMUNICATION,
-    TPDO_MAPPING,
-    0x6007,
-    0x6040,
-    0x6060,
-    0x607A,
-    0x60B2,
-)
+#: Objects that the master writes on every drive, and that of the setpoint by mode.
+_NEEDED = {RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION, TPDO_MAPPING, 0x6040, 0x6060}
+_SETPOINT = {7: 0x60C1, 8: 0x607A}
+_WATCHDOG = {"heartbeat": ("consumer_heartbeat",), "node guarding": ("guard_time", "life_time_factor")}
+#: Modes of operation (0x6060) in which the master streams setpoints.
+CyclicMode = Literal[7, 8]
+#: How a drive notices that the master is gone.
+Watchdog = Literal["heartbeat", "node guarding"]
+
+
+def loss_objects(watchdog: Watchdog, *, has_option: bool) -> tuple[str, ...]:
+    """Return the names of the objects that state how a drive acts on the loss of its master: 0x6007 if it has one."""
+    return (*_WATCHDOG[watchdog], *(("abort_connection_option",) if has_option else ()))
+
+
+def needed_writes(mode: CyclicMode, watchdog: Watchdog, *, has_option: bool) -> tuple[int, ...]:
+    """Return the objects that the master writes on every drive of this mode and watchdog, in ascending order."""
+    lost = {OBJECTS[name].index for name in loss_objects(watchdog, has_option=has_option)}
+    return tuple(sorted(_NEEDED | {_SETPOINT[mode]} | lost))
 
 
 def is_assumed(source: str) -> bool:
@@ -262,6 +276,15 @@ class StateMachine(Strict):
     """Times and behaviour of the CiA 402 state machine."""
 
     transition_timeout_s: Positive = Field(description="longest wait for a change of state")
+    cyclic_mode: CyclicMode = Field(
+        default=8,
+        description="mode of the setpoint stream (0x6060): 8 cyclic synchronous position (0x607A), 7 interpolated "
+        "position (0x60C1:01, started by bit 4 of the controlword)",
+    )
+    ignored_status: Literal[0, 0x0200, 0x0800, 0x0A00] = Field(
+        default=0,
+        description="bits of the statusword that say nothing on this drive: 0x0800 where a warning sets bit 11",
+    )
     mode_before_enable: bool = Field(
         default=True, description="the mode of operation is set before the drive is enabled"
     )
@@ -291,15 +314,29 @@ class SdoTimes(Strict):
 
 
 class Heartbeat(Strict):
-    """How the drive watches the master (0x1016, 0x6007), and how the master watches the drive (0x1017)."""
+    """How the drive watches the master (0x1016 or 0x100C, and 0x6007), and the master the drive (0x1017)."""
 
+    watchdog: Watchdog = Field(
+        default="heartbeat",
+        description="what the drive watches: the master's heartbeat (0x1016), or its node guarding (0x100C x 0x100D)",
+    )
     consumer_ms: int = Field(
-        ge=10, le=65535, description="0x1016: after this time without heartbeat the drive treats the master as lost"
+        ge=10, le=65535, description="after this time without a sign of the master the drive treats it as lost"
     )
-    abort_connection: Literal[2, 3] = Field(
-        description="0x6007: 3 quick stop; a drive with 2, disable voltage, is read and not moved"
+    abort_connection: Literal[1, 2, 3] | None = Field(
+        default=None,
+        description="0x6007: 3 quick stop, 1 fault (then 0x605E); a drive with 2, disable voltage, is read and not "
+        "moved; absent: the drive has no 0x6007, and the proof of its stop shows what it does",
     )
-    producer_ms: int | None = Field(default=None, ge=10, le=65535, description="0x1017, left alone if absent")
+    producer_ms: int | None = Field(
+        default=None, ge=10, le=65535, description="0x1017, left alone if absent; none beside node guarding"
+    )
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Heartbeat:
+        if self.watchdog == "node guarding" and self.producer_ms is not None:
+            raise ValueError("producer_ms: a node with a heartbeat does not answer node guarding (CiA 301)")
+        return self
 
 
 class Write(Strict):
@@ -360,10 +397,11 @@ class EmcyEntry(Strict):
     code: int = Field(ge=0, le=0xFFFF, description="as the emergency message carries it")
     text: str = Field(description="what it means")
     advice: str = Field(description="what to do")
+    warning: bool = Field(default=False, description="the drive only warns: the axes go on")
 
 
 #: And beside them in a run with feedforward.
-_FEEDFORWARD_WRITES = (RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x60B1)
+_FEEDFORWARD_WRITES = (RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x60B1, 0x60B2)
 
 
 class DriveProfile(Strict):
@@ -417,6 +455,17 @@ class DriveProfile(Strict):
         return None if self.eds is None else self._folder / self.eds
 
     @property
+    def needed_writes(self) -> tuple[int, ...]:
+        """Return the objects that the master writes on every drive of this profile."""
+        has_option = self.heartbeat.abort_connection is not None
+        return needed_writes(self.state_machine.cyclic_mode, self.heartbeat.watchdog, has_option=has_option)
+
+    @property
+    def loss_objects(self) -> tuple[str, ...]:
+        """Return the names of the objects that state how the drive acts on the loss of its master."""
+        return loss_objects(self.heartbeat.watchdog, has_option=self.heartbeat.abort_connection is not None)
+
+    @property
     def needs_torque_constant(self) -> bool:
         """Whether the measured torque is a current times the torque constant of the cell file."""
         return self.torque.is_current
@@ -455,7 +504,7 @@ class DriveProfile(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> DriveProfile:
-        missing = [f"0x{index:04X}" for index in NEEDED_WRITES if index not in self.write.allow]
+        missing = [f"0x{index:04X}" for index in self.needed_writes if index not in self.write.allow]
         if missing and not self.no_motion:
             raise ValueError(f"write.allow lacks {', '.join(missing)}, which bringing the drive up needs")
         if self.current is not None and not self.current.is_current:

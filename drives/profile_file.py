@@ -10,13 +10,13 @@ from drives.datasheet.building import read_sheet
 from drives.datasheet.sheet import Sheet
 from drives.errors import ProfileError
 from drives.objects import OBJECTS
-from drives.pdo import VELOCITY_OFFSET
+from drives.pdo import TARGET_POSITION, TORQUE_OFFSET, VELOCITY_OFFSET
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference, Rated
 from drives.toml_lines import KeyPath
 from drives.validation import Unfit, read_strict
 
-_MAPPED: Final = ("controlword", "statusword", "target_position", "torque_offset")
-_SET: Final = ("mode", "mode_display", "abort_connection_option", "consumer_heartbeat")
+#: Objects that the master uses on every drive, by whether they are mapped to a PDO.
+_EVERY: Final = {"controlword": True, "statusword": True, "mode": False, "mode_display": False}
 
 
 def check_eds(profile: DriveProfile, path: Path) -> None:
@@ -57,12 +57,13 @@ def contradictions(profile: DriveProfile, sheet: Sheet) -> list[str]:
 
 def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
     """Return the objects that the master uses, each with whether it is mapped to a PDO."""
-    for name in (*_MAPPED, *_SET):
+    for name, is_mapped in (_EVERY | dict.fromkeys(profile.loss_objects, False)).items():
         entry = OBJECTS[name]
-        reference = ObjectReference.model_validate(
-            {"index": entry.index, "subindex": entry.subindex, "type": entry.type}
+        yield (
+            ObjectReference.model_validate({"index": entry.index, "subindex": entry.subindex, "type": entry.type}),
+            is_mapped,
         )
-        yield reference, name in _MAPPED
+    yield TARGET_POSITION[profile.state_machine.cyclic_mode], True
     yield profile.position.object, True
     for condition in (*profile.safety, *(() if profile.reference is None else (profile.reference,))):
         yield condition.object, False
@@ -76,6 +77,7 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
         yield profile.velocity.object, profile.current is not None
     if profile.feedforward is not None:
         yield VELOCITY_OFFSET, True
+        yield TORQUE_OFFSET, True
     if profile.temperature is not None:
         yield profile.temperature.object, False
     counts = profile.position.counts_per_revolution

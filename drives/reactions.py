@@ -175,7 +175,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             scope="enabled",
         ),
         "internal_limit": Rule(
-            "a limit inside the drive acts (statusword bit 11)",
+            "a limit inside the drive acts (statusword bit 11, but where its profile says that it means nothing)",
             "stop",
             2,
             _ROW,
@@ -197,7 +197,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             bits=FOLLOWING_ERROR,
         ),
         "not_remote": Rule(
-            "no longer under remote control (statusword bit 9)",
+            "no longer under remote control (statusword bit 9, which it showed before, is cleared)",
             "stop",
             2,
             _ROW,
@@ -251,6 +251,9 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
         "duplicate": Rule("the same answer twice", "count", 1, "frame"),
         "overrun": Rule("a SYNC that the clock could not send in time", "count", 1, _ONE),
         "emergency_reset": Rule("an emergency message that reports an error reset", "count", 1, "message"),
+        "emergency_warning": Rule(
+            "an emergency message that the profile of the drive lists as a warning", "count", 1, "message"
+        ),
         "warning": Rule("warning (statusword bit 7)", "count", 1, _ONE),
         "error_frames": Rule("error frames, error passive", "count", 1, "frame"),
         "strange_frames": Rule("extended and remote frames, unused ids", "count", 1, "frame"),

@@ -29,7 +29,9 @@ class AxisSetup:
     torque_limit_nm : float, optional
         Lowest torque limit that may be set in the drive (0x6072), motor side; None = the drive's own is unchanged.
     feedforward : bool
-        The second RPDO with the velocity offset is mapped and sent.
+        The second RPDO with the velocity offset is mapped and sent, and the torque offset in the first one.
+    torque_offset : bool
+        The torque offset is mapped and sent without a velocity offset.
 
     Raises
     ------
@@ -43,7 +45,13 @@ class AxisSetup:
     max_motor_speed_rad_s: float
     position_limit_rad: tuple[float, float] | None = None
     feedforward: bool = False
+    torque_offset: bool = False
     torque_limit_nm: float | None = None
+
+    @property
+    def uses_torque_offset(self) -> bool:
+        """Return whether 0x60B2 is sent at each SYNC."""
+        return self.feedforward or self.torque_offset
 
     def __post_init__(self) -> None:
         if not 1 <= self.node_id <= 127:

@@ -11,13 +11,15 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 import can
+from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.fake_drive import FakeDrive
 from sim.fault import Fault
 from sim.node import EMCY_OFF, PRE_OPERATIONAL
-from sim.objects import NO_DATA, VALUE_RANGE, Address
+from sim.objects import DEVICE_STATE, LIMITS, NO_SUBINDEX, TOO_HIGH, TOO_LOW, VALUE_RANGE, Address
 from sim.pdo import DISABLED, Pdo
 from sim.states import PdsState
 
@@ -28,7 +30,6 @@ REGISTER_COMMUNICATION = 0x11
 #: Bits in which the serial numbers and the vendors of a drive and of its replacement differ.
 OTHER_SERIAL, OTHER_VENDOR = 0x0100_0000, 0x00FF_0001
 HUNTING_RAD, HUNTING_HZ = 0.004, 1.5
-STRICT_INHIBIT_100US = 100
 OBJECTS_WITHOUT_DATA = frozenset({0x6502, 0x1029})
 #: Offset to the node id in the EMCY identifier of `foreign_emcy`.
 EMCY_NODE_OFFSET = 0x20
@@ -36,11 +37,14 @@ EMCY_NODE_OFFSET = 0x20
 SYNC_PERIOD_TOLERANCE, MAX_WRONG_PERIODS = 0.5, 3
 #: Number of the TPDO that floods the bus (0 = TPDO1), and the longest pause after which it does not catch up [s].
 FLOODING_TPDO, MAX_FLOOD_BACKLOG_S = 2, 0.1
-#: Delay of a TPDO behind its SYNC, and of the reaction to a controlword [s]; age of the torque word, in SYNCs.
-TPDO_DELAY_S, CONTROLWORD_DELAY_S, TORQUE_AGE_SYNCS = 0.008, 0.04, 3
+#: Delay of a TPDO behind its SYNC [s]; age of the torque word, in SYNCs.
+TPDO_DELAY_S, TORQUE_AGE_SYNCS = 0.008, 3
 #: Time that a slow brake takes to close after the motor is off [s].
 BRAKE_CLOSING_S = 0.08
-CONTROLWORD, DIGITAL_INPUTS, TORQUE_ALLOWED, REFERENCED = (0x6040, 0), (0x60FD, 0), 24, 25
+CONTROLWORD, STATUSWORD, POSITION, DIGITAL_INPUTS = (0x6040, 0), (0x6041, 0), (0x6064, 0), (0x60FD, 0)
+TORQUE_ALLOWED, REFERENCED = 24, 25
+#: Bit 30 of 0x1005: the device produces SYNC.
+SYNC_PRODUCER = 1 << 30
 
 
 # ------------------------------------------------------------------------------------------------- power, NMT, states
@@ -209,12 +213,190 @@ def ignore_writes(drive: FakeDrive, fault: Fault) -> None:
             drive.alter_object(address, set=lambda _value: None)
 
 
-def have_no_data(drive: FakeDrive, fault: Fault) -> None:
-    """Requests of optional objects are aborted with "no data available"."""
-    without, refuse = {fault.index} if fault.index else OBJECTS_WITHOUT_DATA, drive.node.sdo.refuse
-    drive.alter(
-        drive.node.sdo, "refuse", lambda index, subindex: NO_DATA if index in without else refuse(index, subindex)
-    )
+def _addresses(drive: FakeDrive, fault: Fault) -> list[Address]:
+    """Return the object of a fault; with subindex 0, all subindices of its index."""
+    index, subindex = fault.index, fault.subindex
+    return [each for each in drive.store.entries if each[0] == index and subindex in (0, each[1])]
+
+
+def lack(drive: FakeDrive, fault: Fault) -> None:
+    """Requests of an object, or of optional ones, are aborted, and it is not mapped."""
+    without = {fault.index} if fault.index else OBJECTS_WITHOUT_DATA
+    refuse, only = drive.node.sdo.refuse, fault.subindex
+
+    def aborted(index: int, subindex: int) -> int | None:
+        return fault.code if index in without and only in (0, subindex) else refuse(index, subindex)
+
+    drive.alter(drive.node.sdo, "refuse", aborted)
+    do_not_map(drive, fault)
+
+
+def do_not_map(drive: FakeDrive, fault: Fault) -> None:
+    """The object is not mapped into a PDO."""
+    for address in _addresses(drive, fault):
+        drive.alter_object(address, mappable=False)
+
+
+def fix(drive: FakeDrive, fault: Fault) -> None:
+    """The object is read only."""
+    for address in _addresses(drive, fault):
+        drive.alter_object(address, set=None)
+
+
+def deliver(drive: FakeDrive, fault: Fault) -> None:
+    """The object has another value at power-up."""
+    address = fault.index, fault.subindex
+    entry, preset_pdos = drive.store.entries[address], drive.preset_pdos
+    low, high = LIMITS[entry.type]
+    value = fault.code if fault.code <= high else fault.code - (high - low + 1)
+    if address in drive.power_up_values:
+        _shows(drive, address, value)
+        drive.reset()
+        return
+
+    def preset() -> None:
+        preset_pdos()
+        if entry.set is not None:
+            if address[0] >> 8 in (0x14, 0x18) and address[1] == 1:  # an identifier changes while its PDO is off
+                entry.set(value | DISABLED)
+            entry.set(value)
+
+    drive.alter(drive, "preset_pdos", preset)
+    preset()
+
+
+def _checked(drive: FakeDrive, address: Address, check: Callable[[int], int]) -> None:
+    """Let a function change or refuse what is written to an object."""
+    assign = drive.store.entries[address].set
+    if assign is not None:
+        drive.alter_object(address, set=lambda value: assign(check(value)))
+
+
+def limit(drive: FakeDrive, fault: Fault) -> None:
+    """The object accepts a range of values."""
+
+    def check(value: int) -> int:
+        if not fault.low <= value <= fault.high:
+            raise SdoAbortedError(TOO_LOW if value < fault.low else TOO_HIGH)
+        return value
+
+    _checked(drive, (fault.index, fault.subindex), check)
+
+
+def round_to(drive: FakeDrive, fault: Fault) -> None:
+    """The object is rounded to a multiple of `code`."""
+    _checked(drive, (fault.index, fault.subindex), lambda value: round(value / fault.code) * fault.code)
+
+
+def resize(drive: FakeDrive, fault: Fault) -> None:
+    """The object is shorter or longer than its type."""
+    for address in _addresses(drive, fault):
+        entry = drive.store.entries[address]
+        type_ = f"{entry.type[0]}{8 * fault.code}"
+        if address[1] == 0 and fault.subindex == 0 and (fault.index, 1) in drive.store.entries or type_ not in LIMITS:
+            continue  # the number of subindices
+        low, high = LIMITS[type_]
+        get = entry.get
+        drive.alter_object(address, type=type_, get=lambda get=get, low=low, high=high: min(max(int(get()), low), high))
+
+
+def shorten(drive: FakeDrive, fault: Fault) -> None:
+    """The record ends at subindex `code`."""
+    drive.alter_object((fault.index, 0), get=lambda: fault.code)
+    for _, subindex in _addresses(drive, replace(fault, subindex=0)):
+        if subindex > fault.code:
+            lack(drive, replace(fault, subindex=subindex, code=NO_SUBINDEX))
+
+
+def support(drive: FakeDrive, fault: Fault) -> None:
+    """0x6502 has other bits, and 0x6060 accepts these modes alone."""
+    _shows(drive, (0x6502, 0), fault.code)
+
+    def check(mode: int) -> int:
+        if mode > 0 and not fault.code >> mode - 1 & 1:
+            raise SdoAbortedError(VALUE_RANGE)
+        return mode
+
+    _checked(drive, (0x6060, 0), check)
+
+
+def status_bits(value: bool) -> DriveHook:
+    """Return a hook that sets or clears bits of the statusword."""
+
+    def hook(drive: FakeDrive, fault: Fault) -> None:
+        shown = drive.store.entries[STATUSWORD].get
+        drive.alter_object(STATUSWORD, get=lambda: int(shown()) | fault.code if value else int(shown()) & ~fault.code)
+
+    return hook
+
+
+def show_mode_when_enabled(drive: FakeDrive, _fault: Fault) -> None:
+    """0x6061 is 0 until the drive is enabled."""
+    drive.alter_object((0x6061, 0), get=lambda: drive.motion.mode if drive.enabled else 0)
+
+
+def warn(drive: FakeDrive, fault: Fault) -> None:
+    """The drive sends the EMCY of a warning once it has been enabled for `count` SYNCs."""
+    latch, enabled_syncs = drive.latch, 0
+
+    def warns() -> None:
+        nonlocal enabled_syncs
+        latch()
+        enabled_syncs += drive.enabled
+        if drive.enabled and enabled_syncs == fault.count:
+            drive.node.emergency(fault.code, drive.node.error_register)
+
+    drive.alter(drive, "latch", warns)
+
+
+def lock_pdos(drive: FakeDrive, _fault: Fault) -> None:
+    """Parameters of PDOs are written in PRE-OPERATIONAL alone."""
+
+    def check(value: int) -> int:
+        if drive.node.state != PRE_OPERATIONAL:
+            raise SdoAbortedError(DEVICE_STATE)
+        return value
+
+    for address in [each for each in drive.store.entries if 0x1400 <= each[0] < 0x1C00]:
+        _checked(drive, address, check)
+
+
+def await_both_periods(drive: FakeDrive, _fault: Fault) -> None:
+    """Another interpolation period acts once both subindices of 0x60C2 were written."""
+    period_s, written = drive.motion.period_s, set[int]()
+    acts_s = period_s()
+
+    def noted(subindex: int) -> Callable[[int], int]:
+        def note(value: int) -> int:
+            written.add(subindex)
+            return value
+
+        return note
+
+    def acting_s() -> float:
+        nonlocal acts_s
+        if written == {1, 2}:
+            acts_s = period_s()
+            written.clear()
+        return acts_s
+
+    for subindex in (1, 2):
+        _checked(drive, (0x60C2, subindex), noted(subindex))
+    drive.alter(drive.motion, "period_s", acting_s)
+
+
+def wrap_position(drive: FakeDrive, fault: Fault) -> None:
+    """The position has `code` bits and wraps."""
+    half = 1 << fault.code - 1
+    drive.alter_object(POSITION, get=lambda: (drive.position_counts() + half) % (2 * half) - half)
+
+
+def forget_turns(drive: FakeDrive, _fault: Fault) -> None:
+    """The drive restarts with its brake applied, and its encoder reports the position within one turn."""
+    turn = round(math.tau * drive.units.counts_per_rad)
+    drive.alter_object(POSITION, get=lambda: drive.position_counts() % turn)
+    drive.reset()
+    drive.node.boot()
 
 
 def coast_on_stops(drive: FakeDrive, fault: Fault) -> None:
@@ -261,14 +443,14 @@ def show_no_sign(drive: FakeDrive, _fault: Fault) -> None:
 # ---------------------------------------------------------------------------------------------------------- SYNC, PDO
 
 
-def inhibit_strictly(drive: FakeDrive, _fault: Fault) -> None:
+def inhibit_strictly(drive: FakeDrive, fault: Fault) -> None:
     """TPDOs have an inhibit time at power-up, which is not written while the PDO is valid."""
     preset_pdos = drive.preset_pdos
 
     def preset() -> None:
         preset_pdos()
         for tpdo in drive.tpdos:
-            tpdo.inhibit_100us = STRICT_INHIBIT_100US
+            tpdo.inhibit_100us = fault.code
 
     drive.alter(drive, "preset_pdos", preset)
     for tpdo in drive.tpdos:
@@ -371,7 +553,7 @@ def delay_torque(drive: FakeDrive, _fault: Fault) -> None:
     drive.alter_object(address, get=lambda: kept[0])
 
 
-def delay_controlwords(drive: FakeDrive, _fault: Fault) -> None:
+def delay_controlwords(drive: FakeDrive, fault: Fault) -> None:
     """A controlword acts after a while."""
     due: deque[tuple[float, int]] = deque()
     advanced = drive.advanced
@@ -382,7 +564,58 @@ def delay_controlwords(drive: FakeDrive, _fault: Fault) -> None:
         advanced(time_s)
 
     drive.alter(drive, "advanced", later)
-    drive.alter_object(CONTROLWORD, set=lambda word: due.append((drive.time_s + CONTROLWORD_DELAY_S, word)))
+    drive.alter_object(CONTROLWORD, set=lambda word: due.append((drive.time_s + fault.delay_s, word)))
+
+
+def enable_slowly(drive: FakeDrive, fault: Fault) -> None:
+    """Each transition towards OPERATION ENABLED takes `delay_s`; a stop acts at once."""
+    take, advanced, waiting, since_s = drive.take_controlword, drive.advanced, -1, 0.0
+
+    def later(word: int) -> None:
+        nonlocal waiting, since_s
+        rises = word & 0x06 == 0x06 and not word & 0x80 and not drive.automaton.energised
+        if rises and word != waiting:
+            waiting, since_s = word, drive.time_s
+        elif not rises:
+            waiting = -1
+            take(word)
+
+    def transit(time_s: float) -> None:
+        nonlocal waiting
+        if waiting >= 0 and time_s - since_s >= fault.delay_s:
+            word, waiting = waiting, -1
+            take(word)
+        advanced(time_s)
+
+    drive.alter(drive, "take_controlword", later)
+    drive.alter(drive, "advanced", transit)
+    drive.alter_object(CONTROLWORD, set=later)
+
+
+def take_rpdos_at_once(drive: FakeDrive, _fault: Fault) -> None:
+    """Synchronous RPDOs act when they arrive."""
+    received = drive.rpdo_received
+
+    def at_once(number: int, data: bytes) -> None:
+        received(number, data)
+        drive.take_synchronous()
+
+    drive.alter(drive, "rpdo_received", at_once)
+
+
+def produce_sync(drive: FakeDrive, fault: Fault) -> None:
+    """The drive sends SYNC every `delay_s` until bit 30 of 0x1005 is cleared."""
+    keep_time, sent_s = drive.node.keep_time, -math.inf
+    _shows(drive, (0x1005, 0), SYNC_PRODUCER | 0x80)
+
+    def sends(simulated_s: float, wall_s: float) -> None:
+        nonlocal sent_s
+        keep_time(simulated_s, wall_s)
+        if drive.store.number((0x1005, 0)) & SYNC_PRODUCER and wall_s - sent_s >= fault.delay_s:
+            sent_s = wall_s
+            drive.node.send(0x80, b"")
+
+    drive.alter(drive.node, "keep_time", sends)
 
 
 def delay_rpdos(drive: FakeDrive, _fault: Fault) -> None:

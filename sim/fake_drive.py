@@ -16,11 +16,11 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.cellfile import AxisSpec
 from sim.device import PDO_COUNT, Device
-from sim.makes import LACKING, SUPPORTED_MODES, Word
+from sim.makes import Word
 from sim.motion import MODES, DriveMotion
 from sim.motor import Motor
 from sim.node import OPERATIONAL
-from sim.objects import LIMITS, NO_DATA, VALUE_RANGE, Address, Getter, Setter
+from sim.objects import LIMITS, VALUE_RANGE, Address, Setter
 from sim.pdo import EVENT_TYPES, Pdo
 from sim.states import Automaton, PdsState
 from sim.units import MAX_TORQUE_PER_MILLE, drive_units, named_object
@@ -85,10 +85,7 @@ class FakeDrive(Device):
         self.rpdos = [Pdo(self.store, 0x1400 + n, 0x1600 + n) for n in range(PDO_COUNT)]
         self.connect()
         self.power_up_values = dict(self.store.values)
-        self._built = dict(self.store.values), dict(self.store.entries)
-        self._altered: list[tuple[object, str, Any]] = []
-        lacking = LACKING.get(str(spec.profile.get("name")), frozenset())
-        self.node.sdo.refuse = lambda index, _subindex: NO_DATA if index in lacking else None
+        self.keep_as_built()
         self.node.on_reset = self.reset
         self.node.on_heartbeat_lost = self._heartbeat_lost
         self.node.on_heartbeat_resumed = self._heartbeat_resumed
@@ -100,22 +97,26 @@ class FakeDrive(Device):
         self.axis.lock()
         self.error_code = 0
         self.store.values.update({key: value for key, value in self.power_up_values.items() if not keeps(key[0])})
-        self.automaton.quick_stop_holds = False
+        self.automaton.quick_stop_holds = self.store.number((0x605A, 0)) >= 5
         self.motion.reset(self.motion.mode if keeps(0x6060) else 0)
         if not keeps(0x1800):
             self.preset_pdos()
         self.take_max_torque(self.store.number((0x6072, 0)))
         self.automaton.power_up()
 
+    def keep_as_built(self) -> None:
+        """Let `repair` lead back to the drive as it is now, with what was altered until now."""
+        self._built = dict(self.power_up_values), dict(self.store.entries)
+        self._altered: list[tuple[object, str, Any]] = []
+
     def alter(self, owner: object, name: str, value: Any) -> None:
         """Replace an attribute or a method of the drive or of a part of it, until `repair`."""
         self._altered.append((owner, name, getattr(owner, name)))
         setattr(owner, name, value)
 
-    def alter_object(self, address: Address, get: Getter | None = None, set: Setter | None = None) -> None:
-        """Replace how an object is read or written, by SDO and by PDO, until `repair`."""
-        entry = self.store.entries[address]
-        self.store.entries[address] = replace(entry, get=get or entry.get, set=set or entry.set)
+    def alter_object(self, address: Address, **fields: Any) -> None:
+        """Replace fields of an object's `Entry` (access functions, type, mapping), for SDO and PDO, until `repair`."""
+        self.store.entries[address] = replace(self.store.entries[address], **fields)
         for pdo in (*self.tpdos, *self.rpdos):
             pdo.refresh()
 
@@ -151,7 +152,12 @@ class FakeDrive(Device):
             self._buffers[number] = data
 
     def latch(self) -> None:
-        """Take over the synchronous RPDOs that have come since the last SYNC."""
+        """Take over the synchronous RPDOs that have come since the last SYNC, and the next setpoint of mode 7."""
+        self.take_synchronous()
+        self.motion.take_next()
+
+    def take_synchronous(self) -> None:
+        """Take over the synchronous RPDOs that have been received."""
         for number, data in enumerate(self._buffers):
             if data is not None:
                 self._buffers[number] = None
@@ -315,8 +321,9 @@ class FakeDrive(Device):
 # ------------------------------------------------------------------------------------------------- object dictionary
 
 
-def _one_of(*allowed: int):
+def _one_of(*allowed: int, first: Setter = lambda _value: None) -> Setter:
     def check(value: int) -> None:
+        first(value)
         if value not in allowed:
             raise SdoAbortedError(VALUE_RANGE)
 
@@ -381,8 +388,7 @@ def _state_objects(drive: FakeDrive) -> None:
     store.parameter((0x605E, 0), "i16", 2, _one_of(0, 1, 2))
     store.live((0x6060, 0), "i8", lambda: drive.motion.mode, drive.motion.take_mode)
     store.live((0x6061, 0), "i8", lambda: drive.motion.mode)
-    modes = sum(1 << bit for bit in MODES.values())
-    store.constant((0x6502, 0), "u32", SUPPORTED_MODES.get(str(drive.spec.profile.get("name")), modes))
+    store.constant((0x6502, 0), "u32", sum(1 << bit for bit in MODES.values()))
     store.constant((0x6402, 0), "u16", 10)
     store.live((0x60FD, 0), "u32", drive.digital_inputs)
     store.constant((0x60FE, 0), "u8", 1)
@@ -423,9 +429,12 @@ def _motion_objects(drive: FakeDrive) -> None:
     store.constant((0x6091, 1), "u32", 1)
     store.constant((0x6091, 2), "u32", 1)
     store.live((0x60B1, 0), "i32", lambda: drive.motion.velocity_offset, drive.motion.take_velocity_offset)
+    store.parameter((0x60C0, 0), "i16", 0, _one_of(0))
+    store.constant((0x60C1, 0), "u8", 1)
+    store.live((0x60C1, 1), "i32", lambda: drive.motion.record_counts, drive.motion.take_record)
     store.constant((0x60C2, 0), "u8", 2)
-    store.parameter((0x60C2, 1), "u8", max(1, round(drive.sync_period_s * 1000.0)))
-    store.parameter((0x60C2, 2), "i8", -3, _one_of(-3, -2, -1, 0))
+    store.parameter((0x60C2, 1), "u8", max(1, round(drive.sync_period_s * 1000.0)), drive.motion.refuse_period)
+    store.parameter((0x60C2, 2), "i8", -3, _one_of(-3, -2, -1, 0, first=drive.motion.refuse_period))
     store.live((0x60F4, 0), "i32", drive.following_error_counts)
 
 

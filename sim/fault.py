@@ -39,7 +39,8 @@ class Fault:
     count : maximum number of affected frames, 0 = all; SYNCs until `enables_and_drops` acts
     delay_s : delay of frames, duration of a burst, or time until a refused START is obeyed [s]
     index, subindex : object that the fault affects; index 0 = any object of the kind
-    code : EMCY code, SDO abort code, or value of the affected object (0x1006, 0x1014, 0x6072)
+    code : EMCY code, SDO abort code, value, size or highest subindex of the affected object, bits of the statusword
+    low, high : values that the affected object accepts
     share : share of frames that are lost at random, 0 to 1
     rate_hz : rate of a flooding TPDO [Hz]
     speed_rad_s : speed at which the axis drops with its brake closed [rad/s]
@@ -56,6 +57,8 @@ class Fault:
     index: int = 0
     subindex: int = 0
     code: int = 0
+    low: int = 0
+    high: int = 0
     share: float = 1.0
     rate_hz: float = 0.0
     speed_rad_s: float = 0.0

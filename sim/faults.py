@@ -27,6 +27,7 @@ from sim.drive_faults import DriveHook
 from sim.fake_drive import FakeDrive
 from sim.fault import Fault, Kind, Reaction, Starts, Where
 from sim.node import PRE_OPERATIONAL, STOPPED
+from sim.objects import NO_DATA, NO_OBJECT
 from sim.wire_faults import ANSWERS, AT_START, AT_SYNC, HEARTBEAT, RPDO1, SDO_ANSWER, TPDO1, WireHook
 
 MAX_SYNC = 10**9
@@ -145,12 +146,33 @@ KINDS: dict[str, Kind] = {
     "duplicate_node": _wire((SDO_ANSWER, HEARTBEAT), wires.answer_twice, "refuses", syncs=0),
     "fault_at_start": _drive("drive", drives.raise_fault, "refuses", code=ENCODER_FAULT),
     # strict slaves: conforming
-    "strict_inhibit": _drive("object", drives.inhibit_strictly, "goes on"),
+    "strict_inhibit": _drive("object", drives.inhibit_strictly, "goes on", code=100),
     "start_refused": _drive("object", drives.refuse_start, "goes on", delay_s=0.5),
     "cycle_period_set": _drive("object", drives.watch_period, "goes on", code=1000),
-    "no_data_abort": _drive("object", drives.have_no_data, "goes on", index=0),
+    "no_data_abort": _drive("object", drives.lack, "goes on", index=0, code=NO_DATA),
     "tpdo3_on": _drive("object", drives.flood, "goes on", rate_hz=5000.0),
     "foreign_emcy_id": _drive("object", drives.foreign_emcy, "goes on", code=0),
+    # makes: objects and habits that differ from drive to drive
+    "object_absent": _drive("object", drives.lack, "goes on", index=0x6502, code=NO_OBJECT),
+    "object_read_only": _drive("object", drives.fix, "goes on", index=0x6086),
+    "object_value": _drive("object", drives.deliver, "goes on", index=0x607A, code=4000),  # a stale target
+    "object_range": _drive("object", drives.limit, "goes on", index=0x60C2, subindex=1, low=1, high=20),
+    "object_not_mappable": _drive("object", drives.do_not_map, "goes on", index=0x60B2),
+    "object_size": _drive("object", drives.resize, "goes on", index=0x60B2, code=4),
+    "object_rounded": _drive("object", drives.round_to, "goes on", index=0x6083, code=10),
+    "record_short": _drive("object", drives.shorten, "goes on", index=0x1800, code=3),
+    "modes_supported": _drive("object", drives.support, "refuses", code=0x43),  # no mode 8
+    "status_bits_off": _drive("object", drives.status_bits(False), "goes on", code=1 << 9),
+    "status_bits_on": _drive("object", drives.status_bits(True), "stops", code=1 << 11),
+    "mode_display_late": _drive("object", drives.show_mode_when_enabled, "refuses"),
+    "warning_emcy": _drive("drive", drives.warn, "stops", count=50, code=0x4310),
+    "mapping_locked": _drive("object", drives.lock_pdos, "goes on"),
+    "period_pair": _drive("object", drives.await_both_periods, "goes on"),
+    "slow_enable": _drive("drive", drives.enable_slowly, "goes on", delay_s=0.2),
+    "rpdo_at_once": _drive("drive", drives.take_rpdos_at_once, "goes on"),
+    "position_wraps": _drive("object", drives.wrap_position, "stops", 100, starts="in motion", code=16),
+    "single_turn": _drive("object", drives.forget_turns, "refuses", starts="in brakes"),
+    "sync_producer": _drive("drive", drives.produce_sync, "refuses", delay_s=0.1),
     # drives that must not be moved
     "start_never": _drive("object", drives.refuse_start, "refuses", delay_s=math.inf),
     "emcy_disabled": _drive("object", drives.no_emcy, "refuses"),
@@ -166,7 +188,7 @@ KINDS: dict[str, Kind] = {
     "delayed_tpdo": _drive("drive", drives.delay_tpdos, "drive test"),
     "every_second_sync": _drive("drive", drives.skip_syncs, "drive test"),
     "old_torque": _drive("drive", drives.delay_torque, "drive test"),
-    "delayed_controlword": _drive("drive", drives.delay_controlwords, "drive test"),
+    "delayed_controlword": _drive("drive", drives.delay_controlwords, "drive test", delay_s=0.04),
     "delayed_rpdo": _drive("drive", drives.delay_rpdos, "drive test"),
     "quick_stop_coasts": _drive("object", drives.act_on({(0x605A, 0): 0}), "drive test"),
     "fault_coasts": _drive("object", drives.act_on({(0x605E, 0): 0}), "drive test"),
@@ -208,6 +230,8 @@ _BOUNDS: dict[str, tuple[type, float, float]] = {
     "index": (int, 0, 0xFFFF),
     "subindex": (int, 0, 0xFF),
     "code": (int, 0, 0xFFFFFFFF),
+    "low": (int, -0x80000000, 0xFFFFFFFF),
+    "high": (int, -0x80000000, 0xFFFFFFFF),
     "share": (float, 0.0, 1.0),
     "rate_hz": (float, 0.0, 20_000.0),
     "speed_rad_s": (float, 0.0, 1.0),

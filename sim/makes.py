@@ -1,4 +1,4 @@
-"""Objects that hold a measured quantity, and their scale in drives of known makes, from manuals or from code.
+"""How drives of known makes count and in what they differ from the standard drive, from manuals or from code.
 
 Nothing here is read from the profile. A profile that contradicts the make gives a wrong torque, which the test over all
 profiles detects.
@@ -7,11 +7,13 @@ profiles detects.
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from sim.cellfile import AxisSpec
-from sim.objects import Address
+from sim.fault import Fault
+from sim.objects import NO_OBJECT, Address
 
 #: Counts of one motor revolution of the simulated encoder.
 RESOLUTION = 131072
@@ -128,16 +130,6 @@ def ipos8010(axis: AxisSpec, units: DriveUnits) -> DriveUnits:
     return replace(units, torque=Word((0x6077, 0), "i16", bits))
 
 
-#: What drives of known makes do not have: objects, by the data sheets that the profiles name.
-LACKING: dict[str, frozenset[int]] = {
-    "novanta-eve-net-c": frozenset({0x1016}),
-    "pilz-prbt": frozenset({0x6007}),
-    "schunk-lwa4p": frozenset({0x6007}),
-}
-#: Modes (0x6502) of those that lack one: the PRBT has 1, 2 and 7.
-SUPPORTED_MODES: dict[str, int] = {"pilz-prbt": 0x43}
-
-
 #: Name of the profile -> how its make counts.
 MAKES: dict[str, Make] = {
     "elmo-gold": elmo,
@@ -147,3 +139,168 @@ MAKES: dict[str, Make] = {
     "novanta-emcl": emcl,
     "technosoft-ipos8010": ipos8010,
 }
+
+
+def _absent(*indices: int, code: int = NO_OBJECT) -> tuple[Fault, ...]:
+    return tuple(Fault("object_absent", index=index, code=code) for index in indices)
+
+
+def _value(index: int, subindex: int, value: int) -> Fault:
+    return Fault("object_value", index=index, subindex=subindex, code=value & 0xFFFFFFFF)
+
+
+def _read_only(*indices: int, subindex: int = 0) -> tuple[Fault, ...]:
+    return tuple(Fault("object_read_only", index=index, subindex=subindex) for index in indices)
+
+
+def _inhibit(time_100us: int) -> tuple[Fault, ...]:
+    return tuple(_value(0x1800 + number, 3, time_100us) for number in range(1, 4))
+
+
+RPDOS = range(0x1400, 0x1404)
+#: Without 0x6007 a drive makes a quick stop when its master is lost.
+_NO_REACTION_CODE = (_value(0x6007, 0, 3), *_absent(0x6007))
+_PERIOD_TO_20_MS = Fault("object_range", index=0x60C2, subindex=1, low=1, high=20)
+_INDEX_FIXED = Fault("object_range", index=0x60C2, subindex=2, low=-3, high=-3)
+
+#: Name of the profile -> how drives of the make differ from the standard one: rows of `sim.faults.KINDS`.
+QUIRKS: dict[str, tuple[Fault, ...]] = {
+    # ipa320/cob_robots: Elmo.dcf; statusword: ros_canopen issue 67; 0x6502: SOEM issue 245
+    "elmo-gold": (
+        *_absent(0x100C, 0x100D),
+        Fault("modes_supported", code=0x3ED),
+        Fault("object_range", index=0x60C2, subindex=1, low=1, high=255),
+        Fault("object_range", index=0x60C2, subindex=2, low=-6, high=-2),
+        *(Fault("object_not_mappable", index=0x60C2, subindex=sub) for sub in (1, 2)),
+        Fault("status_bits_on", code=1 << 9 | 1 << 10),
+    ),
+    # ipa320/cob_robots: ElmoSimplIQ.dcf; interpolation: MAN-CAN402IG p. 92
+    "elmo-simpliq": (
+        Fault("modes_supported", code=0x6D),
+        _value(0x60C2, 1, 0),
+        *_absent(0x60B1, 0x60B2),
+        *_read_only(*RPDOS, subindex=1),
+    ),
+    # YamamotoSoya/maxon_epos4compact50-5can_ros2: maxon_epos4_0x1018.eds; Gowoon12/maxon_epos4_ros1_csp: CAN_M1.dcf
+    "maxon-epos4": (
+        Fault("modes_supported", code=0x3A5),
+        *_absent(0x1006, 0x1007, 0x1019, 0x100C, 0x100D, 0x60C0, 0x60C1, 0x605D, 0x6091),
+        *_read_only(0x1005),
+        _value(0x60C2, 1, 0),
+        _value(0x6007, 0, 3),
+        _value(0x605A, 0, 6),
+        _value(0x605C, 0, 1),
+        *(Fault("record_short", index=0x1800 + number, code=3) for number in range(4)),
+        *_inhibit(10),
+    ),
+    # Copley Controls 95-00271 p. 209; CML Amp.cpp in Linkeway/BIRL_modular_robot: first drive may produce SYNC
+    "copley": (*_absent(0x1006, 0x1019), Fault("status_bits_on", code=1 << 14)),
+    # Shaevitzaiden/UnderwaterTestbed-ROS-CANopen: C5-E-1-09.eds; index of the period: PD4-E manual
+    "nanotec": (
+        *_NO_REACTION_CODE,
+        *_absent(0x60C0),
+        _INDEX_FIXED,
+        *(Fault("object_not_mappable", index=0x60C2, subindex=sub) for sub in (1, 2)),
+        _value(0x607A, 0, 4000),
+        _value(0x6072, 0, 100),
+        *_inhibit(100),
+        Fault("status_bits_on", code=1 << 9),
+    ),
+    # roboticslab-uc3m/yarp-devices: TechnosoftIpos, issues 215 (controlwords) and 245 (modes)
+    "technosoft-ipos8010": (*_absent(0x1006, 0x1007), Fault("modes_supported", code=0xE5), _INDEX_FIXED),
+    # Kollmorgen AKD CANopen manual p. 105 (0x60C2), webhelp 6502h; warnings are EMCYs and bit 11; memory: abort code
+    "kollmorgen-akd-x00606": (
+        *_absent(0x1019),
+        Fault("modes_supported", code=0xE5),
+        _INDEX_FIXED,
+        Fault("period_pair"),
+        Fault("status_bits_off", code=1 << 9),
+        Fault("warning_emcy", count=50, code=0x4390),
+        *(Fault("record_short", index=0x1800 + number, code=3) for number in range(4)),
+    ),
+    # jishuzhan.net on Leadshine csp: 0x60C2 in 1 to 20 ms; iSV2-CAN manual p. 58
+    "leadshine": (*_absent(0x6078), _PERIOD_TO_20_MS, _INDEX_FIXED),
+    # Delta ASDA-A2-E manual p. 55
+    "delta-asda": (_PERIOD_TO_20_MS, _INDEX_FIXED),
+    # UniMelbHumanRoboticsLab/CANOpenRobotController: KincoDrive.cpp; bits: FD5 manual; RPDO: canopen-python issue 400
+    "kinco-fd123": (Fault("status_bits_on", code=1 << 14 | 1 << 15), Fault("rpdo_at_once")),
+    # drives.novantamotion.com; ingeniamc/ingenialink-python: den-net-e_2.8.0_v3.xdf
+    "novanta-emcl": (
+        Fault("modes_supported", code=0xF03E5),
+        *_absent(0x60C1, 0x605B, 0x605C, 0x605E, 0x6091),
+        _value(0x605A, 0, 5),
+    ),
+    # ingeniamc/ingenialink-python: eve-net-c_1.8.1.eds
+    "novanta-eve-net-c": (*_absent(0x1016), *_inhibit(1000)),
+    # delmic/odemis: TMCM-1240_CANopen_V322.dcf
+    "trinamic": (
+        *_NO_REACTION_CODE,
+        *_absent(0x1003, 0x1006, 0x1007, 0x60B2, 0x60C0, 0x60C1, *range(0x6071, 0x6079)),
+        Fault("modes_supported", code=0x1A5),
+        *(Fault("object_not_mappable", index=0x60C2, subindex=sub) for sub in (1, 2)),
+        Fault("object_not_mappable", index=0x60B1),
+        *_read_only(*RPDOS, subindex=2),
+        *_read_only(0x605B, 0x605C, 0x605D, 0x605E),
+    ),
+    # Lexium32A_canopen.cpp: bits 14 and 15; ros2_canopen issue 357: mode 7; memory: abort code
+    "schneider-lexium32": (*_absent(0x1006, 0x1019), Fault("status_bits_on", code=1 << 15)),
+    # freezeLUO/ZeroErr_Motor_CanOpen: EDS
+    "zeroerr-erob": (
+        *_NO_REACTION_CODE,
+        *_absent(0x605A, 0x6072, 0x6073),
+        Fault("modes_supported", code=0x38D),
+        Fault("object_size", index=0x60C1, subindex=1, code=2),
+        Fault("object_range", index=0x60B2, low=-3000, high=3000),
+    ),
+    # ipa320/cob_robots: Schunk_0_63.dcf
+    "schunk-lwa4p": (
+        *_NO_REACTION_CODE,
+        *_absent(0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6076),
+        Fault("modes_supported", code=0x43),
+        _value(0x60C2, 1, 8),
+    ),
+    # ros2_canopen: prbt_0_1.dcf
+    "pilz-prbt": (
+        *_NO_REACTION_CODE,
+        *_absent(0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6076),
+        Fault("modes_supported", code=0x43),
+        _value(0x60C2, 1, 8),
+    ),
+}
+
+
+#: Behaviours of drives that can be moved, of which a drawn make has some; the rows of one group exclude each other.
+_DRAWN: tuple[tuple[tuple[Fault, ...], ...], ...] = (
+    *(
+        (_absent(index, code=code),)
+        for index, code in ((0x1006, 0x06020000), (0x1019, 0x06010000), (0x6502, 0x08000000))
+    ),
+    (_absent(0x60B2, code=0x06040043), (Fault("object_size", index=0x60B2, code=4),)),
+    (_absent(0x6075, code=0x060A0023), _absent(0x6078, code=0x08000020)),
+    (_NO_REACTION_CODE, (_value(0x6007, 0, 3),)),
+    ((Fault("modes_supported", code=0x43),), (Fault("modes_supported", code=0x3A5),)),
+    ((_value(0x60C2, 1, 0),), (_value(0x60C2, 1, 8),)),
+    ((_INDEX_FIXED,), (Fault("period_pair"),)),
+    ((_value(0x607A, 0, 4000),),),
+    (_inhibit(10), _inhibit(100), _inhibit(1000)),
+    ((Fault("status_bits_off", code=1 << 9),), (Fault("status_bits_on", code=1 << 9 | 1 << 14 | 1 << 15),)),
+    ((Fault("status_bits_on", code=1 << 11),), (Fault("warning_emcy", count=50, code=0x4310),)),
+    ((Fault("mode_display_late"),),),
+    ((Fault("mapping_locked"),),),
+    ((Fault("slow_enable", delay_s=0.05),), (Fault("slow_enable", delay_s=0.3),)),
+    (_read_only(*RPDOS, subindex=1), _read_only(*RPDOS, subindex=2), (_value(0x1401, 1, 0x800003F5),)),
+    (tuple(Fault("record_short", index=0x1800 + number, code=2) for number in range(4)),),
+)
+#: Objects that a motion needs; a drive that lacks one must not be moved.
+_NEEDED = (0x6040, 0x6041, 0x6060, 0x6064)
+
+
+def draw_make(seed: int) -> tuple[tuple[Fault, ...], bool]:
+    """Return rows of a make drawn from the behaviours of known ones, and whether every object is there to move it.
+
+    One make in five lacks an object that a motion needs. `sim.faults.act` applies the rows to drives.
+    """
+    rng = random.Random(seed)
+    rows = [row for group in _DRAWN if rng.random() < 0.4 for row in rng.choice(group)]
+    can_move = rng.random() >= 0.2
+    return (*rows, *(() if can_move else _absent(rng.choice(_NEEDED)))), can_move

@@ -5,6 +5,9 @@ the milliseconds of that stretch, which is the linear interpolation of cyclic sy
 setpoint waits for the drive's own clock, which a phase-locked loop keeps half a period behind the SYNCs. Setpoints may
 therefore arrive up to half a period early or delayed. At a tick the newest setpoint is taken, as there is one target
 position (0x607A) and no queue; without a new one the reference is extrapolated.
+
+Interpolated position (mode 7) does the same with the records of 0x60C1: each SYNC takes one out of a buffer. Bit 4 of
+the controlword starts the interpolation by its rise in OPERATION ENABLED, and ends it when it drops.
 """
 
 from __future__ import annotations
@@ -17,13 +20,13 @@ from canopen.sdo.exceptions import SdoAbortedError
 from sim.cellfile import AxisSpec
 from sim.makes import DriveUnits
 from sim.motor import Motor
-from sim.objects import VALUE_RANGE, ObjectStore
+from sim.objects import DEVICE_STATE, VALUE_RANGE, ObjectStore
 from sim.servo import TICK_S
 from sim.states import Automaton, PdsState
 
-PP, CSP, CST = 1, 8, 10
+PP, IP, CSP, CST = 1, 7, 8, 10
 #: Modes of operation (0x6060), and their bits of 0x6502.
-MODES = {PP: 0, CSP: 7, CST: 9}
+MODES = {PP: 0, IP: 6, CSP: 7, CST: 9}
 POLARITY_POSITION = 0x80
 NEW_SET_POINT, RELATIVE, HALT = 1 << 4, 1 << 6, 1 << 8
 TARGET_REACHED, INTERNAL_LIMIT, MODE_SPECIFIC, FOLLOWING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 13
@@ -57,8 +60,10 @@ class DriveMotion:
     Attributes
     ----------
     counts_per_joint_rad : of the position at the gear output, with the sign of the cell
-    mode : 0x6060 (0 none, 1 PP, 8 CSP, 10 CST)
+    mode : 0x6060 (0 none, 1 PP, 7 IP, 8 CSP, 10 CST)
     target_counts, velocity_offset, torque_offset, target_torque : setpoints as received
+    record_counts, record_depth : setpoint of mode 7 (0x60C1) received last, and how many of them the buffer holds
+    interpolating : mode 7 follows its setpoints
     target_limited : the target position was cut by a software limit
     brake_stuck : the holding brake does not open
     wobble : amplitude [rad] and frequency [Hz] of a loop that hunts and never comes to rest
@@ -79,6 +84,10 @@ class DriveMotion:
         self._automaton, self._raise_fault = automaton, raise_fault
         self.counts_per_joint_rad = spec.position_sign * spec.gear_ratio * units.counts_per_rad
         self.mode = self.target_counts = self.velocity_offset = self.torque_offset = self.target_torque = 0
+        self.record_counts, self.record_depth, self.interpolating = 0, 1, False
+        self._records: list[int] = []
+        #: Position that the reference follows, of 0x607A or of a record [counts].
+        self._setpoint_counts = 0
         self.target_limited = False
         self.brake_stuck = False
         self.wobble: tuple[float, float] | None = None
@@ -113,19 +122,53 @@ class DriveMotion:
         """Set the mode, and targets and offsets to their values at power-up."""
         self.mode, self.torque_offset, self.target_torque = mode, 0, 0
         self.take_velocity_offset(0)
-        self.target_counts = self.polarity * round(self._axis.position_rad * self.counts_per_joint_rad)
+        self.record_counts = 0
+        self._end_interpolation()
+        self.target_counts = self._setpoint_counts = self._counts(self._axis.position_rad)
+
+    def _counts(self, position_rad: float) -> int:
+        return self.polarity * round(position_rad * self.counts_per_joint_rad)
 
     def take_mode(self, value: int) -> None:
         """Set the mode of operation (0x6060); if enabled, it starts from the present reference."""
         if value not in MODES and value != 0:
             raise SdoAbortedError(VALUE_RANGE)
+        if value != self.mode:
+            self._end_interpolation()
+            self._acknowledged |= value == IP  # bit 4 has to rise again
+            self._setpoint_counts = self.target_counts
         self.mode = value
         self._pp_goal = None
         self.feed_torque()
 
     def take_target(self, counts: int) -> None:
-        """Set the target position (0x607A), to be reached within the interpolation period (0x60C2)."""
+        """Set the target position (0x607A)."""
         self.target_counts = counts
+        if self.mode != IP:
+            self._follow(counts)
+
+    def take_record(self, counts: int) -> None:
+        """Put a setpoint of mode 7 (0x60C1) into the buffer; a full one loses its oldest."""
+        self.record_counts = counts
+        self._records = [*self._records, counts][-self.record_depth :]
+
+    def take_next(self) -> None:
+        """Take a setpoint out of the buffer of mode 7, at a SYNC."""
+        if self.interpolating and self._records:
+            self._follow(self._records.pop(0))
+
+    def refuse_period(self, _value: int) -> None:
+        """Refuse another interpolation period (0x60C2) while mode 7 is active."""
+        if self.interpolating:
+            raise SdoAbortedError(DEVICE_STATE)
+
+    def _end_interpolation(self) -> None:
+        self.interpolating = False
+        self._records.clear()
+
+    def _follow(self, counts: int) -> None:
+        """Set the position that is to be reached within the interpolation period (0x60C2)."""
+        self._setpoint_counts = counts
         if self.buffered:
             if self._missed > MISSED_UNTIL_REST and self._waiting_rad is None:  # the clock is unused: set it
                 self._left_s = 0.5 * self.period_s()
@@ -134,12 +177,12 @@ class DriveMotion:
             self._left_s = self.period_s()
 
     def target_rad(self) -> float:
-        """Return the target at the gear output, clipped to the software limits (0x607D; both 0 = no limits) [rad]."""
-        counts = self.target_counts
+        """Return the setpoint at the gear output, clipped to the software limits (0x607D; both 0 = no limits) [rad]."""
+        counts = self._setpoint_counts
         low, high = self._store.number((0x607D, 1)), self._store.number((0x607D, 2))
         if low != 0 or high != 0:
             counts = min(max(counts, low), high)
-        self.target_limited = counts != self.target_counts
+        self.target_limited = counts != self._setpoint_counts
         return self.polarity * counts / self.counts_per_joint_rad
 
     def joint_speed(self, word: int) -> float:
@@ -188,9 +231,12 @@ class DriveMotion:
                 self._release_s = self._time_s + self._brake_delay_s()
                 self._lock_s = None
                 self._unlock()
-                self._pp_goal, self._acknowledged = None, False
+                # bit 4 starts the interpolation by its rise in this state only
+                self._pp_goal, self._acknowledged = None, self.mode == IP
             self._handshake()
-        elif not self._automaton.energised:
+            return
+        self._end_interpolation()
+        if not self._automaton.energised:
             self._disable()
 
     def _unlock(self) -> None:
@@ -219,11 +265,17 @@ class DriveMotion:
         servo.torque_only = self.mode == CST and self._automaton.state is PdsState.OPERATION_ENABLED
 
     def _handshake(self) -> None:
-        """Process the profile position handshake: rising bit 4 accepts the setpoint, bit 12 acknowledges it."""
-        if self.mode != PP:
+        """Process bit 4: its rise accepts a setpoint in PP, acknowledged by bit 12, and starts interpolation in IP."""
+        if self.mode not in (PP, IP):
             return
         wanted = bool(self._automaton.controlword & NEW_SET_POINT)
-        if wanted and not self._acknowledged:
+        rises = wanted and not self._acknowledged
+        if self.mode == IP and rises:
+            self.interpolating, self._setpoint_counts = True, self._counts(self._axis.servo.reference_rad)
+            self._unlock()
+        elif self.mode == IP and not wanted:
+            self._end_interpolation()
+        elif rises:
             goal = self.target_rad()
             if self._automaton.controlword & RELATIVE:
                 goal += self._axis.servo.reference_rad
@@ -260,7 +312,8 @@ class DriveMotion:
         if self._then is not None:
             self._move(self._ramp_down(seconds, SLOW_DOWN_RAMP), ticks)
             return
-        if self.mode == PP and (self._pp_goal is None or self._automaton.controlword & HALT):
+        idle = {PP: self._pp_goal is None, IP: not self.interpolating}.get(self.mode)
+        if idle or (idle is not None and self._automaton.controlword & HALT):
             quick = self._store.number(HALT_OPTION) == 2
             self._move(self._ramp_down(seconds, QUICK_STOP_RAMP if quick else SLOW_DOWN_RAMP), ticks)
             return
@@ -269,7 +322,7 @@ class DriveMotion:
     def _commanded(self, seconds: float) -> float:
         """Return the movement [rad] commanded by the master in its mode."""
         servo = self._axis.servo
-        if self.mode == CSP:
+        if self.mode in (IP, CSP):
             return self._track(seconds)
         if self.mode == PP:
             return self._profile(seconds)
@@ -285,9 +338,9 @@ class DriveMotion:
         return travel / seconds
 
     def period_s(self) -> float:
-        """Return the interpolation period (0x60C2) [s]."""
+        """Return the interpolation period (0x60C2), at least a millisecond [s]."""
         store = self._store
-        return store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
+        return max(store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2)), TICK_S)
 
     def _by_own_clock(self, seconds: float) -> float:
         """Return the movement of the reference [rad] when setpoints wait for a tick.
@@ -322,7 +375,7 @@ class DriveMotion:
         self._left_s = period_s * (1.0 - min(max(CLOCK_PULL * behind, -CLOCK_DRAW), CLOCK_DRAW))
 
     def _track(self, seconds: float) -> float:
-        """Return the movement in CSP: the remaining distance, evenly over the remaining period."""
+        """Return the movement in CSP and IP: the remaining distance, evenly over the remaining period."""
         if self.buffered:
             travel = self._by_own_clock(seconds)
         else:
@@ -406,8 +459,10 @@ class DriveMotion:
                 wait = self._store.number((0x6068, 0)) * 1e-3
                 if self._reached_since is not None and self._time_s - self._reached_since >= wait:
                     bits |= TARGET_REACHED
+            elif self.mode == IP and not self.interpolating:
+                pass
             elif self._axis.fed or self.brake_stuck:  # a drive does not notice that its brake falls in
-                bits |= MODE_SPECIFIC
+                bits |= MODE_SPECIFIC if self.interpolating or self.mode != IP else 0
             if self._lag_since is not None:
                 bits |= FOLLOWING_ERROR
         elif error_code == EMCY_FOLLOWING:

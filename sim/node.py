@@ -100,8 +100,8 @@ class SlaveNode(canopen.LocalNode):
     unpowered : sends and answers nothing (no power)
     on_nmt : called with (old state, new state)
     on_reset : called when the application is reset
-    on_heartbeat_lost : called with the node whose heartbeat stopped
-    on_heartbeat_resumed : called at the first heartbeat after a loss
+    on_heartbeat_lost : called with the node whose heartbeat stopped, or with the own number where node guarding stopped
+    on_heartbeat_resumed : called at the first heartbeat, or request of node guarding, after a loss
     may_start : asked before START is obeyed
     """
 
@@ -123,6 +123,8 @@ class SlaveNode(canopen.LocalNode):
         self.on_heartbeat_lost: Callable[[int], None] = lambda _node: None
         self.on_heartbeat_resumed: Callable[[], None] = lambda: None
         self._heartbeat_error = False
+        #: Toggle bit of the next answer of node guarding.
+        self._toggle = 0
         self.may_start: Callable[[], bool] = lambda: True
 
     # --------------------------------------------------------------------------------------------- object dictionary
@@ -137,6 +139,8 @@ class SlaveNode(canopen.LocalNode):
         store.constant((0x1016, 0), "u8", 1)
         store.parameter((0x1016, 1), "u32", 0, lambda _value: self._watched_s.clear())
         store.parameter((0x1017, 0), "u16", 1000)
+        store.parameter((0x100C, 0), "u16", 0)
+        store.parameter((0x100D, 0), "u8", 0)
         store.parameter((0x1014, 0), "u32", 0x80 + self.number, self._check_emcy_id)
 
     def _check_emcy_id(self, value: int) -> None:
@@ -171,6 +175,7 @@ class SlaveNode(canopen.LocalNode):
         self._heartbeat_error = False
         self._watched_s.clear()
         self._beat_s.clear()
+        self._toggle = 0
         self.send(0x700 + self.number, b"\x00")
         self.enter(PRE_OPERATIONAL)
 
@@ -192,7 +197,7 @@ class SlaveNode(canopen.LocalNode):
             self._beat_s.clear()  # the next heartbeat is due at once
             self.on_nmt(old, state)
 
-    # --------------------------------------------------------------------------------------------------- heartbeats
+    # ----------------------------------------------------------------------------------- heartbeats, node guarding
 
     def keep_time(self, simulated_s: float, wall_s: float) -> None:
         """Send the heartbeat when it is due in simulated or real time, whichever is first."""
@@ -207,20 +212,33 @@ class SlaveNode(canopen.LocalNode):
     def note_heartbeat(self, node_id: int, time_s: float) -> None:
         """Note a heartbeat of another node; monitoring begins with the first one."""
         if self.store.number((0x1016, 1)) >> 16 == node_id:
-            self._watched_s[node_id] = time_s
-            if self._heartbeat_error:
-                self._heartbeat_error = False
-                self.on_heartbeat_resumed()
+            self._alive(node_id, time_s)
+
+    def answer_guarding(self, time_s: float) -> None:
+        """Answer a remote frame of node guarding (CiA 301, 7.2.8.3.2.1), which a node with a heartbeat does not."""
+        if self.unpowered or self.state == INITIALISING or self.store.number((0x1017, 0)):
+            return
+        self.send(0x700 + self.number, bytes([self._toggle | self.state]))
+        self._toggle ^= 0x80
+        self._alive(self.number, time_s)
+
+    def _alive(self, source: int, time_s: float) -> None:
+        self._watched_s[source] = time_s
+        if self._heartbeat_error:
+            self._heartbeat_error = False
+            self.on_heartbeat_resumed()
 
     def watch(self, time_s: float) -> None:
-        """Check whether the heartbeat of a monitored node stopped (0x1016)."""
-        setting = self.store.number((0x1016, 1))
-        node_id, limit = setting >> 16, (setting & 0xFFFF) * 1e-3
-        since = self._watched_s.get(node_id)
-        if limit and since is not None and time_s - since > limit:
-            del self._watched_s[node_id]
-            self._heartbeat_error = True
-            self.on_heartbeat_lost(node_id)
+        """Check whether the heartbeat of a monitored node (0x1016) or node guarding (0x100C x 0x100D) stopped."""
+        number = self.store.number
+        setting = number((0x1016, 1))
+        limits_ms = {setting >> 16: setting & 0xFFFF, self.number: number((0x100C, 0)) * number((0x100D, 0))}
+        for source, limit_ms in limits_ms.items():
+            since = self._watched_s.get(source)
+            if limit_ms and since is not None and time_s - since > limit_ms * 1e-3:
+                del self._watched_s[source]
+                self._heartbeat_error = True
+                self.on_heartbeat_lost(source)
 
     # ---------------------------------------------------------------------------------------------------------- EMCY
 

@@ -53,7 +53,13 @@ class Pdo:
         self.packing = struct.Struct("<")
         self.getters: list[Getter] = []
         self.setters: list[Setter | None] = []
+        self._communication = communication
         self._register(communication, mapping)
+
+    @property
+    def _locked(self) -> bool:
+        """A valid PDO is not mapped, unless its identifier is fixed, so that it cannot be switched off."""
+        return self.enabled and self._store.entries[self._communication, 1].set is not None
 
     @property
     def enabled(self) -> bool:
@@ -103,7 +109,7 @@ class Pdo:
 
     def _map_setter(self, sub: int) -> Callable[[int], None]:
         def assign(value: int) -> None:
-            if self.enabled or self._count:
+            if self._locked or self._count:
                 raise SdoAbortedError(UNSUPPORTED_ACCESS)
             self._check_mappable(value)
             self._map += [0] * (sub - len(self._map))
@@ -140,7 +146,7 @@ class Pdo:
         self.inhibit_100us = value
 
     def _set_count(self, value: int) -> None:
-        if self.enabled:
+        if self._locked:
             raise SdoAbortedError(UNSUPPORTED_ACCESS)
         if value > len(self._map):
             raise SdoAbortedError(VALUE_RANGE if value > MAX_ENTRIES else PDO_TOO_LONG)

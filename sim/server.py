@@ -25,6 +25,8 @@ import numpy as np
 
 from sim.cellfile import ArmSpec, AxisSpec
 from sim.fake_drive import FakeDrive
+from sim.faults import act
+from sim.makes import QUIRKS
 from sim.measuring import FakeMeasuringDevice
 from sim.node import SlaveNode
 from sim.physics import ArmWorld
@@ -76,6 +78,10 @@ class Unit(ABC):
         self.send: Callable[[can.Message], None] = lambda _message: None
         self.instruments: list[FakeMeasuringDevice] = []
         self.drives = [FakeDrive(*drive, sync_period_s, self.put, limited) for drive in drives]
+        for drive in self.drives:
+            for quirk in QUIRKS.get(str(drive.spec.profile.get("name")), ()):
+                act([drive], quirk)
+            drive.keep_as_built()
         self.measure()
 
     def put(self, message: can.Message) -> None:
@@ -298,9 +304,12 @@ class BusServer:
             route[0].rpdo_received(route[1], bytes(message.data))
         elif identifier == SYNC_ID:
             self._sync()
-        elif identifier > HEARTBEAT_ID and not message.is_remote_frame:
+        elif identifier > HEARTBEAT_ID:
             for drive in self.drives:
-                if drive.node_id != identifier - HEARTBEAT_ID:
+                of_this = drive.node_id == identifier - HEARTBEAT_ID
+                if of_this and message.is_remote_frame:
+                    drive.node.answer_guarding(drive.time_s)
+                elif not of_this and not message.is_remote_frame:
                     drive.node.note_heartbeat(identifier - HEARTBEAT_ID, drive.time_s)
         elif identifier not in range(0x081, 0x580) and not message.is_remote_frame:
             self._network.notify(identifier, message.data, message.timestamp)

@@ -10,7 +10,7 @@ import canopen
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
 
 NODES = range(1, 7)
-COMMANDS = ((0x6040, datatypes.UNSIGNED16), (0x607A, datatypes.INTEGER32), (0x60B2, datatypes.INTEGER16))
+COMMANDS = ((0x6040, datatypes.UNSIGNED16), (0x607A, datatypes.INTEGER32))
 ANSWERS = ((0x6041, datatypes.UNSIGNED16), (0x6064, datatypes.INTEGER32), (0x6077, datatypes.INTEGER16))
 
 
@@ -83,7 +83,6 @@ class PdoMapExchange:
         for command, _ in self.axes:
             command[0x6040].raw = 0x0F
             command[0x607A].raw = position
-            command[0x60B2].raw = 0
             command.transmit()
 
     def _read(self) -> list[tuple[int, int, int]]:

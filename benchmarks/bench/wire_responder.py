@@ -19,7 +19,7 @@ NODES = range(1, 7)
 QUIT_ID = 0x7F0
 #: Where a simulated drive says what it is, and what it says: lockstep goes to no other.
 SIMULATOR_OBJECT, SIMULATOR_NAME = (0x5FFE, 0), b"servo-sim"
-TPDO = struct.Struct("<Hih")
+TPDO, RPDO = struct.Struct("<Hih"), struct.Struct("<Hi")
 _AFTER = {0x06: 0x21, 0x07: 0x23, 0x0F: 0x27, 0x00: 0x40, 0x02: 0x40}
 
 
@@ -66,7 +66,7 @@ class Responder:
                     send(message)
                 self._refresh()
             elif 0x200 < can_id <= 0x206:
-                word, position, _ = TPDO.unpack(frame.data)
+                word, position = RPDO.unpack(frame.data)
                 node = can_id - 0x200
                 self.state[node], self.positions[node] = _AFTER.get(word, self.state[node]), position
             elif 0x600 < can_id <= 0x606:

@@ -109,7 +109,7 @@ def _emergencies(statistics: GroupStatistics, nodes: list[int]) -> dict[str, flo
     return {
         "emcy": statistics.emcy_count,
         "emcy of the node": len(own),
-        "emcy of an error": sum(not each.is_reset for each in own),
+        "emcy of an error": sum(not each.is_harmless for each in own),
     }
 
 

@@ -128,7 +128,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "power_cycle": Stated(DriveRebooted, "booted during the run", "booted"),
         "reboot_keeps_all": Stated(DriveRebooted, "restarted .boot-up message. after it was configured"),
         "reboot_keeps_communication": Stated(ConfigurationRefused, r"6060:00.*0x8 was configured, 0x0 is read now"),
-        "reboot_keeps_nothing": Stated(ConfigurationRefused, r"RPDO1 has .* since it was configured"),
+        "reboot_keeps_nothing": Stated(ConfigurationRefused, r"RPDO1 .* since it was configured"),
         "boot_up_frame": Stated(DriveRebooted, "booted during the run", "booted"),
         "nmt_stopped": Stated(NotOperational, "left OPERATIONAL: its heartbeat shows STOPPED", "left_operational"),
         "nmt_preoperational": Stated(
@@ -181,6 +181,24 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "foreign_emcy_id": Stated(
             counts=(Count("emcy of the node", least=1), _COMPLETE), real=(Count("emcy of the node", least=1),)
         ),
+        # makes
+        **{
+            kind: Stated(counts=(_COMPLETE,), real=())
+            for kind in (
+                *("object_read_only", "object_value", "object_range", "object_not_mappable", "object_size"),
+                *("object_rounded", "record_short", "status_bits_off"),
+                *("mapping_locked", "period_pair", "slow_enable", "rpdo_at_once"),
+            )
+        },
+        "object_absent": Stated(counts=(Count("sdo aborts", least=1), _COMPLETE), real=(Count("sdo aborts", least=1),)),
+        "modes_supported": Stated(FindingFailed, "no cyclic synchronous position mode"),
+        # of a drive whose profile does not say that they mean nothing
+        "status_bits_on": Stated(DriveFault, "a limit inside the drive acts", "internal_limit"),
+        "warning_emcy": Stated(DriveFault, "sent an emergency: 0x4310", "emergency"),
+        "position_wraps": Stated(LimitExceeded, "rad off its target|but has moved by", named="joint"),
+        "single_turn": Stated(ConfigurationRefused, "since it was configured"),
+        "mode_display_late": Stated(ConfigurationRefused, "shows mode 0 instead of 8"),
+        "sync_producer": Stated(ForeignMaster, r"has sent \d+ SYNC; nothing was sent", named="no node"),
         # drives that may not be moved
         "start_never": Stated(
             NotOperational, "does not go to OPERATIONAL.*PREOPERATIONAL.*communication error may be active"

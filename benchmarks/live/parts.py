@@ -208,8 +208,8 @@ def commands(frames: Iterable[can.Message]) -> list[tuple[float, int, int]]:
     """When [s, wall clock], controlword and target of the node with the longest motion, frame by frame."""
     by_node: dict[int, list[tuple[float, int, int]]] = {}
     for frame in frames:
-        if RPDO1 <= frame.arbitration_id < RPDO1 + 6 and len(frame.data) == 8:
-            word, target, _ = struct.unpack("<Hih", frame.data)
+        if RPDO1 <= frame.arbitration_id < RPDO1 + 6 and len(frame.data) == 6:
+            word, target = struct.unpack("<Hi", frame.data)
             by_node.setdefault(frame.arbitration_id, []).append((frame.timestamp, word, target))
     return max(by_node.values(), key=lambda rows: float(np.ptp([target for _, _, target in rows])))
 

@@ -6,18 +6,20 @@ import re
 from collections.abc import Iterable
 from typing import Final
 
-from drives.cia402 import Mode, mode_supported
+from drives.cia402 import FOLLOWING, Mode, mode_supported
 from drives.draft.answers import ProfileAnswers, address_of
 from drives.draft.device import Address, Device, velocity_unit_rad_s
 from drives.draft.questions import COUNTS, RATED, is_current, open_questions, rated_address, torque_address
 from drives.errors import ProfileError
 from drives.objects import DataType
-from drives.profile import NEEDED_WRITES
+from drives.profile import CyclicMode, Watchdog, needed_writes
 from drives.profile_file import contradictions, parse_profile
 from drives.toml_text import toml_string
 
 #: Written beside what bringing up needs, where the drive has it.
-USEFUL_WRITES: Final = (0x1006, 0x1017, 0x1401, 0x1402, 0x1403, 0x1801, 0x1802, 0x1803, 0x1A01, 0x1A02, 0x605A, 0x60C2)
+USEFUL_WRITES: Final = (
+    0x1006, 0x1017, 0x1401, 0x1402, 0x1403, 0x1801, 0x1802, 0x1803, 0x1A01, 0x1A02, 0x605A, 0x60B2, 0x60C0, 0x60C2
+)  # fmt: skip
 #: Placeholder for an unknown encoder resolution; such a drive is not moved.
 COUNTS_ASSUMED: Final = 65536
 _ABORT_CONNECTION: Final = {"quick stop": 3, "disable voltage": 2}
@@ -55,7 +57,7 @@ def _text(device: Device, answers: ProfileAnswers, name: str, no_motion: Iterabl
         _torque(device, answers),
         _velocity(device, answers),
         _position(device, answers),
-        _TIMES,
+        _TIMES.format(cyclic_mode=_cyclic_mode(device)),
         _heartbeat(device, answers),
         _write(device),
     )
@@ -71,14 +73,31 @@ def _reasons(device: Device) -> tuple[str, ...]:
     """Return why this drive cannot be moved, as far as sheet and drive show it."""
     found = []
     modes = device.value_of(0x6502)
-    if modes is not None and modes[0] and not mode_supported(modes[0], Mode.CYCLIC_SYNC_POSITION):
-        found.append(f"no cyclic synchronous position mode: {modes[1]} = 0x{modes[0]:X}")
+    if modes is not None and modes[0] and not any(mode_supported(modes[0], mode) for mode in FOLLOWING):
+        found.append(f"neither cyclic synchronous nor interpolated position mode: {modes[1]} = 0x{modes[0]:X}")
     there = {index for index, _ in device.sheet.entries}
     denied = {index for (index, sub), value in device.live.items() if value is None and not device.has(index, sub)}
-    lacking = [f"0x{index:04X}" for index in NEEDED_WRITES if index not in there or index in denied]
+    lacking = [f"0x{index:04X}" for index in _needed(device) if index not in there or index in denied]
     if lacking:
         found.append(f"no {', '.join(lacking)}: the drive lacks what bringing it up needs")
     return tuple(found)
+
+
+def _cyclic_mode(device: Device) -> CyclicMode:
+    """Return cyclic synchronous position, unless the drive states interpolated position alone."""
+    modes = device.value_of(0x6502)
+    if modes is None or mode_supported(modes[0], Mode.CYCLIC_SYNC_POSITION):
+        return 8
+    return 7 if mode_supported(modes[0], Mode.INTERPOLATED_POSITION) else 8
+
+
+def _watchdog(device: Device) -> Watchdog:
+    """Return the heartbeat, unless the drive has node guarding alone."""
+    return "node guarding" if device.has(0x100C) and not device.has(0x1016, 1) else "heartbeat"
+
+
+def _needed(device: Device) -> tuple[int, ...]:
+    return needed_writes(_cyclic_mode(device), _watchdog(device), has_option=device.has(0x6007))
 
 
 def _head(device: Device, answers: ProfileAnswers, name: str, no_motion: tuple[str, ...]) -> str:
@@ -224,8 +243,9 @@ def _counts(device: Device, answers: ProfileAnswers) -> tuple[str, ...]:
 
 
 _TIMES: Final = """\
-# Long timeouts; shorter ones only where the manual gives them.
+# Long timeouts; shorter ones only where the manual gives them. Mode by 0x6502: 8 cyclic synchronous, 7 interpolated.
 [state_machine]
+cyclic_mode = {cyclic_mode}
 transition_timeout_s = 2.0
 mode_before_enable = true
 brake_delay_s = 0.1
@@ -243,17 +263,19 @@ def _heartbeat(device: Device, answers: ProfileAnswers) -> str:
         f"# 0x6007 when the heartbeat of the master is lost: 3 quick stop; with 2 it is not moved; {said}.",
         "# `servo-gateway check CELL --prove-stop` tries it.",
         "[heartbeat]",
+        f'watchdog = "{_watchdog(device)}"',
         "consumer_ms = 500",
-        f"abort_connection = {_ABORT_CONNECTION[answer or 'quick stop']}",
     ]
-    if device.has(0x1017):
+    if device.has(0x6007):
+        lines.append(f"abort_connection = {_ABORT_CONNECTION[answer or 'quick stop']}")
+    if device.has(0x1017) and _watchdog(device) == "heartbeat":
         lines.append("producer_ms = 100")
     return "\n".join(lines) + "\n"
 
 
 def _write(device: Device) -> str:
     there = {index for index, _ in device.sheet.entries}
-    allow = sorted({*NEEDED_WRITES, *USEFUL_WRITES} & there)
+    allow = sorted({*_needed(device), *USEFUL_WRITES} & there)
     rows = [", ".join(f"0x{index:04X}" for index in allow[at : at + 8]) for at in range(0, len(allow), 8)]
     lines = [
         "# Every object that the master may write. 0x6072 and 0x607D make a drive safer where their units are known.",

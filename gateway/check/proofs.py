@@ -21,7 +21,7 @@ from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.preflight.drive_check import live_addresses, require_passed
 
-SCHEMA: Final = 3
+SCHEMA: Final = 4
 
 
 def fingerprint(opened: OpenArm) -> dict[str, Any]:
@@ -40,8 +40,8 @@ def fingerprint(opened: OpenArm) -> dict[str, Any]:
                 "product_code": identity.product_code,
                 "revision": identity.revision,
                 "firmware": identity.software_version,
-                "consumer_ms": profile.heartbeat.consumer_ms,
-                "abort_connection": profile.heartbeat.abort_connection,
+                "heartbeat": profile.heartbeat.model_dump(),
+                "cyclic_mode": profile.state_machine.cyclic_mode,
                 "gear_ratio": config.gear_ratio.value,
                 "position_sign": config.position_sign,
                 "torque_sign": config.torque_sign,

@@ -330,9 +330,11 @@ def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, l
     )
     what = f"heartbeat withheld at {speed_rad_s:.3f} rad/s on every joint"
     items = [Finding("info", f"arm {opened.config.name}", what)]
-    for joint, (trace, moved_rad, coast_rad) in enumerate(zip(traces, moved, coast, strict=True), start=1):
+    axes = zip(opened.profiles, traces, moved, coast, strict=True)
+    for joint, (profile, trace, moved_rad, coast_rad) in enumerate(axes, start=1):
         where = f"J{joint} node {trace.node_id}"
-        items.append(_judged(f"{where}:{OBJECTS['consumer_heartbeat']}", trace, moved_rad, coast_rad))
+        watched = OBJECTS[profile.loss_objects[0]]
+        items.append(_judged(f"{where}:{watched}", trace, moved_rad, coast_rad))
         if trace.node_id in left:
             advice = "find and remove the cause, then reset it at the drive"
             items.append(Finding("fail", where, left[trace.node_id], advice))
@@ -347,7 +349,8 @@ def _judged(where: str, trace: StopTrace, moved_rad: float, coast_rad: float) ->
     if trace.left_s is None:
         what = f"continued to move without the master's heartbeat; {stated}; the master stopped it"
         advice = (
-            "the drive ignores the loss of the master: do not move this arm; check 0x1016 and 0x6007, and its firmware"
+            "the drive ignores the loss of the master: do not move this arm; check 0x1016 (or 0x100C and 0x100D) and"
+            " 0x6007, and its firmware"
         )
         return Finding("fail", where, what, advice)
     if not trace.in_time:

@@ -11,8 +11,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from ctypes.util import find_library
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
@@ -33,6 +35,10 @@ LEAST_GB: Final = 2.0
 CLOCK_SET_S: Final = 1_735_689_600.0
 #: Clock sources of Linux that are read without a system call.
 FAST_CLOCKS: Final = frozenset({"tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page"})
+#: Shortest transmit queue that takes the frames of a SYNC while the bus is busy; a CAN interface has 10 by default.
+LEAST_QUEUE: Final = 100
+#: Library of the vendor's driver as python-can loads it, by interface.
+LIBRARIES: Final = {"pcan": "pcanbasic", "kvaser": "canlib", "vector": "vxlapi64", "ixxat": "vcinpl"}
 BRING_UP: Final = "sudo ip link set {name} txqueuelen 1000 up type can bitrate 1000000"
 
 
@@ -66,6 +72,7 @@ def look(root: Path, folder: Path) -> Iterator[Finding]:
     yield _system()
     yield from _real_time()
     yield from can_interfaces(root, kernel_has_can())
+    yield from adapter_drivers(root)
     yield from _clock(root)
     yield _browser()
     yield _disk(folder)
@@ -139,32 +146,54 @@ def can_interfaces(root: Path, kernel: bool) -> Iterator[Finding]:
 
 def _interface(place: Path) -> Finding:
     driver = (place / "device/driver").resolve().name if (place / "device/driver").exists() else "virtual"
-    state, rate = _text(place / "operstate"), _bitrate(place.name)
-    said = f"driver {driver}, {state or 'state unknown'}" + (f", {rate} bit/s" if rate else "")
+    state, link = _text(place / "operstate"), _link(place.name)
+    rate, controller = link.get("bittiming", {}).get("bitrate"), link.get("state", "")
+    queue = _text(place / "tx_queue_len")
+    shown = {"controller": controller, "txqueuelen": queue, "restart-ms": link.get("restart_ms")}
+    facts = [f"{rate} bit/s"] if rate else []
+    facts += [f"{name} {value}" for name, value in shown.items() if value not in (None, "")]
+    said = ", ".join([f"driver {driver}, {state or 'state unknown'}", *facts])
     if driver == "virtual":
         return Finding("ok", place.name, f"{said}: virtual, no physical bus")
     bring_up = BRING_UP.format(name=place.name)
+    if controller == "BUS-OFF":
+        advice = f"check wiring, termination and bit rate; sudo ip link set {place.name} down; {bring_up}"
+        return Finding("warn", place.name, said, advice)
     if state == "down":
         return Finding("warn", place.name, said, bring_up)
     if rate and rate not in BITRATES:
         return Finding(
             "warn", place.name, f"{said}: not a bit rate of CiA 301", f"sudo ip link set {place.name} down; {bring_up}"
         )
+    if queue and int(queue) < LEAST_QUEUE:
+        advice = f"sudo ip link set {place.name} txqueuelen 1000"
+        return Finding("warn", place.name, f"{said}: shorter than the frames of one SYNC may need", advice)
     return Finding("ok", place.name, said)
 
 
-def _bitrate(name: str) -> int | None:
-    """Return the bit rate of an interface as reported by `ip`; None if unknown."""
+def _link(name: str) -> dict[str, Any]:
+    """Return what `ip` reports of a CAN controller: state, bittiming, restart_ms; empty if unknown."""
     import json
 
     try:
         words = ["ip", "-details", "-json", "link", "show", name]
         done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=5)
-        output = json.loads(done.stdout or "[]")
-        rate = output[0]["linkinfo"]["info_data"]["bittiming"]["bitrate"]
+        return dict(json.loads(done.stdout or "[]")[0]["linkinfo"]["info_data"])
     except (OSError, ValueError, LookupError, TypeError, subprocess.TimeoutExpired):
-        return None
-    return rate if isinstance(rate, int) else None
+        return {}
+
+
+def adapter_drivers(root: Path) -> Iterator[Finding]:
+    """Return for each interface beside SocketCAN whether its driver library or package is installed; none is opened."""
+    from drives.bus import NEEDS
+
+    serial = [f"/dev/{each.name}" for kind in ("ttyACM*", "ttyUSB*") for each in sorted((root / "dev").glob(kind))]
+    packages = {"slcan": find_spec("serial") and f"package pyserial, serial ports: {', '.join(serial) or 'none'}"}
+    for interface, what in (packages | {each: find_library(name) for each, name in LIBRARIES.items()}).items():
+        if what:
+            yield Finding("ok", interface, what)
+        else:
+            yield Finding("info", interface, "driver not installed", f"only for such an adapter: {NEEDS[interface]}")
 
 
 def _clock(root: Path) -> Iterator[Finding]:

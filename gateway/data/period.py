@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -52,15 +52,13 @@ class PeriodLabel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Period:
+class Period(PeriodLabel):
     """Samples of one period, from rest at its beginning to the last SYNC before its end.
 
     Attributes
     ----------
     number : int
         Group name in the file, from 1, counted on from the visits and periods before; 0 = not stored yet.
-    load, excitation, name, kind, joint, period, speed, period_s
-        As in `PeriodLabel`.
     complete : bool
         Whether it contains every SYNC.
     incomplete_epochs : int
@@ -78,14 +76,6 @@ class Period:
     """
 
     number: int
-    load: str
-    excitation: int
-    name: str
-    kind: str
-    joint: int
-    period: int
-    speed: float
-    period_s: float
     complete: bool
     incomplete_epochs: int
     target_rad: np.ndarray
@@ -198,18 +188,11 @@ class PeriodLog:
         if not n:
             where = f"period {self._label.period} of '{self._label.name}'"
             raise InputError(f"{where}: the drives answered no SYNC; check power and bus")
-        label = self._label
-        words = {name: self._words[k, :n] for k, name in enumerate(_WORDS)}
+        stated: dict[str, Any] = {item.name: getattr(self._label, item.name) for item in fields(self._label)}
+        words: dict[str, Any] = {name: self._words[k, :n] for k, name in enumerate(_WORDS)}
         return Period(
+            **stated,
             number=0,
-            load=label.load,
-            excitation=label.excitation,
-            name=label.name,
-            kind=label.kind,
-            joint=label.joint,
-            period=label.period,
-            speed=label.speed,
-            period_s=label.period_s,
             complete=n == self._count,
             incomplete_epochs=self.incomplete_epochs,
             target_rad=self._target[:n],

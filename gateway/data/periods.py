@@ -34,8 +34,8 @@ def excitation_runs(table: Table) -> Ints:
     """Return the number (n,) of the excitation and load of each sample, within one file; -1 without excitation."""
     out, rows = np.full(len(table), -1), np.flatnonzero(repeats(table))
     if len(rows):
-        sampled = table.take(rows)
-        out[rows] = numbered(sampled.file, sampled.load, sampled.extra[EXCITATION])[1]
+        file = [table.file[row] for row in rows]
+        out[rows] = numbered(file, table.load[rows], table.extra[EXCITATION][rows])[1]
     return out
 
 

@@ -114,7 +114,8 @@ class Table:
 
 def numbered(*columns: Iterable[Any]) -> tuple[tuple[tuple[Any, ...], ...], np.ndarray]:
     """Return the distinct rows of columns (n,) in their order, and the number (n,) of each row among them."""
-    keys = list(zip(*(np.asarray(column).tolist() for column in columns), strict=True))
+    plain = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
+    keys = list(zip(*plain, strict=True))
     number = {key: place for place, key in enumerate(dict.fromkeys(keys))}
     return tuple(number), np.array([number[key] for key in keys], dtype=int)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -15,26 +16,42 @@ NO_WORD = -(2**31)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Visit:
-    """Samples of an arm at rest in one pose, approached from one direction.
+class VisitLabel:
+    """Identification of a visit before it has samples.
 
     Attributes
     ----------
-    number : int
-        Group name in the file, from 1; 0 = not stored yet.
     load : str
     pose : int
     purpose : str
         `fit` or `validation`.
     approach : int
         Sign of the last motion of all joints.
+    direction : int8 array of shape (N,)
+        Sign of each joint's last commanded motion.
+    target_rad : array of shape (N,)
+    """
+
+    load: str
+    pose: int
+    purpose: str
+    approach: int
+    direction: np.ndarray
+    target_rad: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visit(VisitLabel):
+    """Samples of an arm at rest in one pose, approached from one direction.
+
+    Attributes
+    ----------
+    number : int
+        Group name in the file, from 1; 0 = not stored yet.
     complete : bool
         Whether it contains all requested samples.
     incomplete_epochs : int
         Number of SYNCs during sampling that an axis did not answer.
-    direction : int8 array of shape (N,)
-        Sign of each joint's last commanded motion.
-    target_rad : array of shape (N,)
     statusword, position_count, torque_word, current_word, velocity_word : int64 arrays of shape (n, N)
         Raw values as received; `NO_WORD` where the drive sends none.
     q_rad, motor_torque_nm, joint_torque_nm, motor_current_a : arrays of shape (n, N)
@@ -49,14 +66,8 @@ class Visit:
     """
 
     number: int
-    load: str
-    pose: int
-    purpose: str
-    approach: int
     complete: bool
     incomplete_epochs: int
-    direction: np.ndarray
-    target_rad: np.ndarray
     statusword: np.ndarray
     position_count: np.ndarray
     torque_word: np.ndarray
@@ -75,18 +86,6 @@ class Visit:
     def __len__(self) -> int:
         """Number of samples."""
         return len(self.sync_index)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class VisitLabel:
-    """Identification of a visit before it has samples; fields as in `Visit`."""
-
-    load: str
-    pose: int
-    purpose: str
-    approach: int
-    direction: np.ndarray
-    target_rad: np.ndarray
 
 
 def visit_from_samples(
@@ -112,16 +111,13 @@ def visit_from_samples(
         return np.array([[NO_WORD if word is None else word for word in row] for row in values], dtype=np.int64)
 
     current = [[np.nan if reading.current_a is None else reading.current_a for reading in row] for row in rows]
+    stated: dict[str, Any] = {item.name: getattr(label, item.name) for item in fields(label)}
+    stated["direction"] = np.asarray(label.direction, dtype=np.int8)
     return Visit(
+        **stated,
         number=0,
-        load=label.load,
-        pose=label.pose,
-        purpose=label.purpose,
-        approach=label.approach,
         complete=complete,
         incomplete_epochs=incomplete_epochs,
-        direction=np.asarray(label.direction, dtype=np.int8),
-        target_rad=label.target_rad,
         statusword=words("statusword"),
         position_count=words("position_count"),
         torque_word=words("torque_word"),

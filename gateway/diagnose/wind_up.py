@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from gateway.identify.solve import solve
+from gateway.result.result import EffectResult, Evidence
 
 Floats = NDArray[np.float64]
 
@@ -19,22 +19,15 @@ LEAST_RAD, LEAST_SHARE = 1e-7, 1e-4
 FEWEST_ROWS = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class WindUp:
-    """Compliance [rad/Nm] of one joint, its standard deviation, and the p-value of its significance."""
-
-    compliance_rad_nm: float
-    std_rad_nm: float
-    p_value: float
-
-
 def design_of(torque_nm: Floats) -> Floats:
     """Columns (n, 2) of the wind-up regression: torque, and a constant for the zeros of the two encoders."""
     return np.stack([-torque_nm, np.ones(len(torque_nm))], axis=1)
 
 
-def wind_up(torque_nm: Floats, bend_rad: Floats, share: Callable[[Floats], float], axes: int) -> WindUp:
-    """Estimate the compliance from torque (n,) and wind-up (n,).
+def wind_up(
+    torque_nm: Floats, bend_rad: Floats, share: Callable[[Floats], float], axes: int
+) -> tuple[float, float, float]:
+    """Return compliance [rad/Nm], standard deviation and p-value from torque (n,) and wind-up (n,).
 
     `share` is the share of independent values in a residual (n,). The p-value is corrected for the number of axes.
     """
@@ -46,6 +39,11 @@ def wind_up(torque_nm: Floats, bend_rad: Floats, share: Callable[[Floats], float
     spread = max(float(np.sqrt(np.mean(left**2) * rows / freedom)), least) * np.sqrt(len(left) / rows)
     std = float(spread * np.sqrt(found.covariance[0, 0]))
     if std == 0.0:  # nothing winds this joint, and nothing bends it
-        return WindUp(0.0, np.inf, 1.0)
-    p_value = float(max(stdtr(freedom, -value / std) * axes, 1e-300))
-    return WindUp(value, std, p_value)
+        return 0.0, np.inf, 1.0
+    return value, std, float(max(stdtr(freedom, -value / std) * axes, 1e-300))
+
+
+def elastic(axis: int, compliance_rad_nm: float, std_rad_nm: float, evidence: Evidence) -> EffectResult:
+    """Return the entry of an elastic joint of an axis (from 0)."""
+    key = "compliance_rad_nm"
+    return EffectResult("joint_elasticity", (axis + 1,), {key: compliance_rad_nm}, {key: std_rad_nm}, evidence)

@@ -264,13 +264,16 @@ class DriveTestRun:
 
     def _measure_fault_reaction(self, options: MoveOptions) -> None:
         """Set the reaction to a lost heartbeat to a fault, withhold it in a slow motion, and reset the fault."""
-        ready: list[int] = []
+        #: What 0x6007 held before, by drive.
+        ready: dict[int, int] = {}
         option = OBJECTS["abort_connection_option"]
         reason = "reaction of the drive when the master's heartbeat stops"
         for number, report in self._tested.items():
             try:
-                self._group.drives[number].access.write(option, FAULT_OPTION, reason)
-                ready.append(number)
+                access = self._group.drives[number].access
+                before = access.read(option)
+                access.write(option, FAULT_OPTION, reason)
+                ready[number] = before
             except (ConfigurationRefused, DriveError) as error:
                 add_figure(report, TimingFigure.not_measured(FAULT_TIME, f"0x6007 = 1: {error}"))
         if not ready:
@@ -278,8 +281,8 @@ class DriveTestRun:
         try:
             traces, _, left = without_heartbeat(self._opened, options)
         finally:
-            for drive in (self._group.drives[number] for number in ready):
-                drive.access.write(option, drive.setup.profile.heartbeat.abort_connection, reason)
+            for number, before in ready.items():
+                self._group.drives[number].access.write(option, before, reason)
         run = self._motion.runs[-1]
         method = (
             "heartbeat withheld with 0x6007 = 1; from the emergency message, or the SYNCs around the fault, to rest"

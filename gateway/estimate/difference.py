@@ -12,7 +12,7 @@ occasion to the other does not drop out: it changes the difference by `u tau` wi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -116,11 +116,18 @@ def _one(visits: Visits, reference: Visits, robot: Robot, knowledge: Knowledge, 
     pairs = _differences(own, reference, knowledge, label)
     differences = pairs.visits
     _require_postures(differences, robot, knowledge, label)
-    problem = _problem(differences, pairs.fixed, robot, knowledge)
+    # the differences are visits of an arm with massless links and known loads
+    stated = replace(knowledge.of_loads(differences.load), bare=None, known={})
+    changes = GainChanges.none(gain_stds(knowledge.gain_std, robot.axes))
+    problem = build_problem(robot, differences, stated, changes)
+    none = np.zeros_like(problem.links)
+    problem = replace(problem, links=none, link_std=none + _GONE, fixed_load=pairs.fixed)
     lost = losses(visits.difference_nm, visits.sum_nm)
     nuisance = nuisance_of(visits, replace(knowledge, bare=None), problem.nuisance.changes)
     nuisance = nuisance.with_bias(_friction_left(pairs, visits)).with_losses(*lost)
-    problem = replace(problem, nuisance=nuisance, group=_groups(visits, problem))
+    # half-sums are those on axes whose visits have both approach directions
+    both = np.asarray(np.isfinite(visits.difference_nm).any(axis=0))[problem.axis]
+    problem = replace(problem, nuisance=nuisance, group=np.where(both, problem.axis, problem.group))
     fitted = fit(problem, (), _noise(problem, visits))
     found = describe(
         problem, fitted, robot, knowledge, {DRIFT: _by_change(fitted, pairs.torque_nm, knowledge.change)[None]}
@@ -138,7 +145,7 @@ def _one(visits: Visits, reference: Visits, robot: Robot, knowledge: Knowledge, 
         loads=(load,),
         band_nm=np.abs(visits.band_nm),
         bare=None,
-        findings=(*_left_out(own, differences, label), *_directions(pairs, label)),
+        findings=tuple(_findings(own, pairs, label)),
         nuisance={"gain": found.nuisance["gain"], "load_friction": loss},
         quality={"rank": found.rank, "condition": found.condition, "poses": len(differences)},
     )
@@ -166,20 +173,6 @@ def _by_change(fitted: Fit, torque_nm: Floats, factor: float) -> Floats:
     by_axis = np.zeros((problem.axes, 2, 4))
     np.add.at(by_axis, problem.axis, torque_nm[problem.visit, problem.axis][:, :, None] * by_row[:, None, :])
     return np.einsum("aok,ab,bol->kl", by_axis, change_covariance(problem.axes, factor), by_axis)
-
-
-def _problem(differences: Visits, fixed: Floats, robot: Robot, knowledge: Knowledge) -> RestProblem:
-    """Build the problem of the differences: visits of an arm with massless links and known loads (n, 4)."""
-    own = replace(knowledge.of_loads(differences.load), bare=None, known={})
-    problem = build_problem(robot, differences, own, GainChanges.none(gain_stds(knowledge.gain_std, robot.axes)))
-    none = np.zeros_like(problem.links)
-    return replace(problem, links=none, link_std=none + _GONE, fixed_load=fixed)
-
-
-def _groups(visits: Visits, problem: RestProblem) -> NDArray[np.int_]:
-    """Noise groups (rows,) of the differences: half-sums on axes whose visits have both approach directions."""
-    seen = np.asarray(np.isfinite(visits.difference_nm).any(axis=0))[problem.axis]
-    return np.where(seen, problem.axis, problem.group)
 
 
 def _noise(problem: RestProblem, visits: Visits) -> Noise:
@@ -334,35 +327,24 @@ def _stacked(parts: list[FittedRows]) -> FittedRows | None:
     return FittedRows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
-def _directions(pairs: _Differences, label: str) -> list[Finding]:
-    """Findings on axes that were approached from opposite or unknown directions."""
-    out = [
-        Finding(
-            "warn", f"load {label}, J{axis + 1}",
-            f"poses {', '.join(map(str, pairs.visits.pose[opposite].tolist()))} were approached from the direction"
-            " opposite to that of the known load and were left out",
-            _SAME_DIRECTION,
-        )
-        for axis, opposite in enumerate(pairs.opposite.T) if opposite.any()
-    ]  # fmt: skip
+def _findings(own: Visits, pairs: _Differences, label: str) -> Iterator[Finding]:
+    """Findings on poses without a known load, and on axes that were approached from opposite or unknown directions."""
+    where = f"load {label}"
+    lost = sorted(set(own.pose.tolist()) - set(pairs.visits.pose.tolist()))
+    if lost:
+        what = f"poses {', '.join(map(str, lost))} were not measured under a known load and were left out"
+        yield Finding("info", where, what, "--method joint uses them too")
+    for axis, opposite in enumerate(pairs.opposite.T):
+        if opposite.any():
+            what = (
+                f"poses {', '.join(map(str, pairs.visits.pose[opposite].tolist()))} were approached from the direction"
+                " opposite to that of the known load and were left out"
+            )
+            yield Finding("warn", f"{where}, J{axis + 1}", what, _SAME_DIRECTION)
     unknown = ", ".join(f"J{axis + 1}" for axis in np.flatnonzero(pairs.unknown.any(axis=0)))
     if unknown:
         what = (
             f"the approach directions of {unknown} are not known: friction is not separated from the load, and the"
             " uncertainty contains the friction band"
         )
-        out.append(Finding("warn", f"load {label}", what, f"{_SAME_DIRECTION}, and record it (columns dir1, dir2, ..)"))
-    return out
-
-
-def _left_out(own: Visits, differences: Visits, label: str) -> tuple[Finding, ...]:
-    lost = sorted(set(own.pose.tolist()) - set(differences.pose.tolist()))
-    if not lost:
-        return ()
-    names = ", ".join(str(pose) for pose in lost)
-    return (
-        Finding(
-            "info", f"load {label}", f"poses {names} were not measured under a known load and were left out",
-            "--method joint uses them too",
-        ),
-    )  # fmt: skip
+        yield Finding("warn", where, what, f"{_SAME_DIRECTION}, and record it (columns dir1, dir2, ..)")

@@ -112,16 +112,13 @@ def _bare(visits: Visits, robot: Robot, knowledge: Knowledge, base: BaseSet, lab
             " trusted (--inertials)"
         )
     std = np.maximum(std, _BLURRED)
-    return _bare_from(robot, knowledge, base, base.combination @ mean, (base.combination * std**2) @ base.combination.T)
-
-
-def _bare_from(robot: Robot, knowledge: Knowledge, base: BaseSet, value: Floats, covariance: Floats) -> Bare:
+    covariance = (base.combination * std**2) @ base.combination.T
     return Bare(
         robot=robot.name,
         gravity_m_s2=tuple(float(g) for g in knowledge.gravity_m_s2),
         columns=tuple(base.indices.tolist()),
         names=base.names,
-        value=tuple(value.tolist()),
+        value=tuple((base.combination @ mean).tolist()),
         covariance=tuple(tuple(row) for row in covariance.tolist()),
         combination=tuple(tuple(row) for row in base.combination.tolist()),
         offset_nm=(np.nan,) * robot.axes,

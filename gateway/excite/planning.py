@@ -24,7 +24,7 @@ from gateway.excite.limits import PLANNED, MovingLimits, States, moving_limits, 
 from gateway.excite.plan_file import read_moving_plan
 from gateway.excite.plan_summary import plan_summary
 from gateway.excite.random_series import start_postures
-from gateway.excite.series_choice import SeriesTask, best_random, optimised
+from gateway.excite.series_choice import chosen_series
 from gateway.excite.sweep_choice import chosen_sweeps
 from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.feedforward.load import FeedLoad, assumed_load
@@ -126,12 +126,13 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     by_series = tuple(each for name, each in asked.items() if name != "friction" or request.friction_by == "series")
     over_random = None
     if by_series:
-        task = SeriesTask(limits, anchors, by_series, request.period_s, request.periods)
-        chosen = (optimised if request.choice == "optimised" else best_random)(task, starts, random)
+        period_s, periods = request.period_s, request.periods
+        optimise = request.choice == "optimised"
+        family, member, over_random = chosen_series(
+            limits, anchors, by_series, period_s, periods, starts, random, optimise=optimise
+        )
         name = " ".join(name for name, each in asked.items() if each in by_series)
-        member = chosen.members
-        excitations.append(chosen.family.series(name, member.start_rad[0], member.free[0], request.periods))
-        over_random = chosen.over_random
+        excitations.append(family.series(name, member.start_rad[0], member.free[0], periods))
     if len(by_series) < len(asked):
         excitations += chosen_sweeps(limits, [*anchors, *starts], min(request.periods, SWEEP_PERIODS))
     expected = plan_summary(excitations, asked, limits, load, over_random)

@@ -106,15 +106,14 @@ def _candidates(effect: EffectResult, gears: Gears, axes: int) -> Iterable[Term]
 
 def _solved(term: Term, stated: Mapping[str, float]) -> Floats | None:
     """Parameters of a term that report the stated values; None where there are none."""
-    nothing = np.zeros((len(term.linear), len(term.linear)))
     begin = np.array([1.0 if linear else start for linear, start in zip(term.linear, term.start, strict=True)])
-    if term.report(begin, nothing)[0].keys() != stated.keys():
+    if term.reported(begin).keys() != stated.keys():
         return None
     wanted = np.array(list(stated.values()))
     size = np.maximum(np.abs(wanted), SAME)
 
     def off(theta: Floats) -> Floats:
-        reported = term.report(theta, nothing)[0]
+        reported = term.reported(theta)
         return np.nan_to_num((np.array([reported[key] for key in stated]) - wanted) / size, nan=1e3)
 
     # linear parameters differ by orders of magnitude from effect to effect: the largest stated value sets the scale

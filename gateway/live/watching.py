@@ -161,7 +161,7 @@ class Watching:
     def _tell_emergencies(self, arm: WatchedArm) -> None:
         while arm.overheard.emergencies:
             emergency = arm.overheard.emergencies.popleft()
-            self._feed.reported(Heard("plain" if emergency.is_reset else "fail", str(emergency)))
+            self._feed.reported(Heard("plain" if emergency.is_harmless else "fail", str(emergency)))
 
 
 def stored_constants(path: Path, arm: ArmConfig) -> tuple[Constants, ...]:

@@ -103,14 +103,14 @@ class Effect:
     parameter_texts: Mapping[str, str] = field(default_factory=dict)
 
 
-def measured_axes(rows: Visits) -> list[int]:
-    """Return the axes (from 0) whose torque was measured at rest."""
-    return [int(axis) for axis in np.flatnonzero(np.isfinite(rows.sum_nm).any(axis=0))]
+def measured_axes(rows: Visits | MovingRows) -> list[int]:
+    """Return the axes (from 0) whose torque was measured; in motion those that move."""
+    return np.flatnonzero(rows.measured).tolist()
 
 
-def moving_axes(motion: MovingRows) -> list[int]:
-    """Return the axes (from 0) that are measured and move."""
-    return [int(axis) for axis in np.flatnonzero(motion.measured)]
+def on_each_axis(term: Callable[[int], Term]) -> Callable[[Visits | MovingRows, object], Iterable[Term]]:
+    """Return the generator of one candidate on each measured axis."""
+    return lambda rows, setup: map(term, measured_axes(rows))
 
 
 def largest_torque_nm(setup: RestSetup) -> Floats:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gateway.model.effect import RestSetup, largest_torque_nm, measured_axes
 from gateway.model.kinematics import link_frames
 from gateway.model.rest import AlteredModel
-from gateway.model.term import NAN, OnAxis, PassiveTorque, Term
+from gateway.model.term import NAN, AngleTorque, OnAxis, Term
 from gateway.model.unnamed import BentGain, Pull, Slosh, UnevenBand, UnevenGain, harmonics, sloshing
 from gateway.model.visits import Visits
 
@@ -57,7 +57,7 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class AngleWave(PassiveTorque):
+class AngleWave(AngleTorque):
     """Torque on one axis that is a sine of a whole-number combination of joint angles."""
 
     multiples: tuple[int, ...] = ()
@@ -70,7 +70,7 @@ class AngleWave(PassiveTorque):
 
 
 @dataclass(frozen=True, slots=True)
-class Buffer(PassiveTorque):
+class Buffer(AngleTorque):
     """Torque on one axis that grows with the compression beyond an angle, on one side."""
 
     at_rad: float = 0.0

@@ -155,7 +155,7 @@ class Term:
         """Return True if the reported values of `theta` are within `bounds`."""
         if not self.bounds:
             return True
-        values, _ = self.report(theta, np.zeros((len(theta), len(theta))))
+        values = self.reported(theta)
         return all(low < values[key] < high for key, (low, high) in self.bounds.items())
 
     def completed(self, value: Floats) -> Floats:
@@ -166,13 +166,31 @@ class Term:
         """Return the term with start values `values` for the nonlinear parameters."""
         return self
 
+    @property
+    def form(self) -> Named:
+        """Reported parameters of the form itself, which are not fitted."""
+        return {}
+
+    def named(self, theta: Floats) -> Named:
+        """Return the parameters that are reported for `theta`, without those of the form."""
+        return dict(zip(self.parameters, theta.tolist(), strict=True))
+
+    def reported(self, theta: Floats) -> Named:
+        """Return all reported parameters by name."""
+        return self.named(theta) | self.form
+
     def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        """Return parameters and standard deviations by name."""
-        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return (
-            dict(zip(self.parameters, theta.tolist(), strict=True)),
-            dict(zip(self.parameters, std.tolist(), strict=True)),
-        )
+        """Return reported parameters, and standard deviations to first order, by name."""
+        step = 1e-6 * np.maximum(np.abs(theta), np.sqrt(np.maximum(np.diag(covariance), 0.0))) + 1e-12
+        values = self.named(theta)
+        slope = np.empty((len(values), len(theta)))
+        for position in range(len(theta)):
+            sides = [self.named(theta + sign * step * (np.arange(len(theta)) == position)) for sign in (1.0, -1.0)]
+            slope[:, position] = (np.array(list(sides[0].values())) - np.array(list(sides[1].values()))) / 2.0
+            slope[:, position] /= step[position]
+        variance = np.einsum("ik,kl,il->i", slope, covariance, slope)
+        std = dict(zip(values, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
+        return values | self.form, std
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,8 +205,13 @@ class OnAxis(Term):
 
 
 @dataclass(frozen=True, slots=True)
-class ReadingTorque(OnAxis):
-    """Additional torque in the reading of one axis."""
+class AngleTorque(OnAxis):
+    """Torque on one axis by joint angles, of a part beside the gear: the motor torque is lower by this amount.
+
+    Where `in_reading`, it is an additional torque in the reading instead.
+    """
+
+    in_reading: ClassVar[bool] = False
 
     def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
         """Return the torque (n, k) at joint angles (n, N) per unit of the linear parameters; the others are `fixed`."""
@@ -196,26 +219,12 @@ class ReadingTorque(OnAxis):
 
     def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         torque = self.shape(rows.q_rad, theta[self.count :]) @ theta[: self.count]
-        return replace(setting, offset_nm=plus(setting.offset_nm, (slice(None), self.axis), torque))
+        field = "offset_nm" if self.in_reading else "passive_nm"
+        return replace(setting, **{field: plus(getattr(setting, field), (slice(None), self.axis), torque)})
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
-        return self.shape(motion.q_rad, np.array(self.start)[self.count :])[:, None, :]
-
-
-@dataclass(frozen=True, slots=True)
-class PassiveTorque(OnAxis):
-    """Torque of a part beside the gear on one joint: the motor torque is lower by this amount."""
-
-    def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
-        """Return the torque (n, k) at joint angles (n, N) per unit of the linear parameters; the others are `fixed`."""
-        raise NotImplementedError
-
-    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
-        torque = self.shape(rows.q_rad, theta[self.count :]) @ theta[: self.count]
-        return replace(setting, passive_nm=plus(setting.passive_nm, (slice(None), self.axis), torque))
-
-    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
-        return -self.shape(motion.q_rad, np.array(self.start)[self.count :])[:, None, :]
+        torque = self.shape(motion.q_rad, np.array(self.start)[self.count :])[:, None, :]
+        return torque if self.in_reading else -torque
 
 
 def on_axis(*columns: Floats) -> Floats:
@@ -228,19 +237,6 @@ def plus(values: Floats, index: object, change: Floats | float) -> Floats:
     moved = values.copy()
     moved[index] += change  # type: ignore[index]
     return moved
-
-
-def propagated(convert: Callable[[Floats], Named], theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-    """Return converted parameters (k,) and their standard deviations to first order."""
-    here = convert(theta)
-    step = 1e-6 * np.maximum(np.abs(theta), np.sqrt(np.maximum(np.diag(covariance), 0.0))) + 1e-12
-    slope = np.empty((len(here), len(theta)))
-    for position in range(len(theta)):
-        sides = [convert(theta + sign * step * (np.arange(len(theta)) == position)) for sign in (1.0, -1.0)]
-        slope[:, position] = (np.array(list(sides[0].values())) - np.array(list(sides[1].values()))) / 2.0
-        slope[:, position] /= step[position]
-    variance = np.einsum("ik,kl,il->i", slope, covariance, slope)
-    return here, dict(zip(here, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
 
 
 def wrist(axes: int) -> tuple[int, ...]:

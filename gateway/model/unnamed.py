@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gateway.data.labels import BARE_LABEL
 from gateway.model.effect import RestSetup, largest_torque_nm, measured_axes
 from gateway.model.rest import AlteredModel
-from gateway.model.term import NAN, OnAxis, PassiveTorque, Term, plus
+from gateway.model.term import NAN, AngleTorque, OnAxis, Term, plus
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -29,7 +29,7 @@ PLAY_RAD: Final = 0.0015
 
 
 @dataclass(frozen=True, slots=True)
-class PositionTorque(PassiveTorque):
+class PositionTorque(AngleTorque):
     """Torque on one axis that depends on the angle of one joint: three harmonics."""
 
     joint: int = 0
@@ -42,7 +42,7 @@ class PositionTorque(PassiveTorque):
 
 
 @dataclass(frozen=True, slots=True)
-class SumTorque(PassiveTorque):
+class SumTorque(AngleTorque):
     """Torque on one axis that depends on the sum of the angles of joints 2 and 3: two harmonics and a constant."""
 
     name: ClassVar[str] = UNNAMED

@@ -167,6 +167,11 @@ class Visits:
             mask[approach] |= entries
         return mask
 
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Mask of the axes (N,) whose torque was measured in any visit."""
+        return np.asarray(np.isfinite(self.sum_nm).any(axis=0))
+
     def unmeasured(self, entries: NDArray[np.bool_]) -> Visits:
         """Return a copy of the visits with entries (n, N) marked as not measured."""
         sums, halves = (np.where(entries, np.nan, values) for values in (self.sum_nm, self.difference_nm))

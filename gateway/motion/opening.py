@@ -199,6 +199,7 @@ def open_arm(
     trace: Path | None = None,
     ledger: Path | None = None,
     feedforward: bool = False,
+    torque_offset: bool = False,
     instruments: tuple[InstrumentSetup, ...] = (),
     disk: Disk | None = None,
 ) -> Generator[OpenArm]:
@@ -221,6 +222,8 @@ def open_arm(
         Folder of the write ledger.
     feedforward : bool
         Use velocity and torque offsets of the drives: a second RPDO is mapped.
+    torque_offset : bool
+        Use the torque offset of the drives alone.
     instruments : tuple of InstrumentSetup
         Measuring devices that are read with the drives.
     disk : Disk, optional
@@ -247,7 +250,7 @@ def open_arm(
     setups = axis_setups(loaded, config)
     _refuse_obstacles(setups)
     _refuse_placeholders(config)
-    setups = tuple(replace(setup, feedforward=feedforward) for setup in setups)
+    setups = tuple(replace(setup, feedforward=feedforward, torque_offset=torque_offset) for setup in setups)
     bus_config = loaded.cell.bus[config.bus]
     options = GroupOptions(ledger_path=ledger, instruments=instruments, allow_real_drive=bus_config.allow_real_drive)
     with (

@@ -35,7 +35,7 @@ from gateway.result.result import Finding
 #: Objects read from every drive: state.
 READ_LIVE: Final = ("statusword", "position", "digital_inputs", "torque_offset")
 #: Settings that have to be readable; settings whose values are checked where they are readable; and further ones.
-NEEDED: Final = ("abort_connection_option", "consumer_heartbeat", "quick_stop_option", "fault_reaction_option")
+NEEDED: Final = ("quick_stop_option", "fault_reaction_option")
 CHECKED: Final = (
     "polarity",
     "gear_motor_revolutions",
@@ -73,7 +73,8 @@ FURTHER: Final = (
 
 def addresses(profile: DriveProfile) -> dict[Address, str]:
     """Return the objects to read, with their types, for a drive of this profile."""
-    wanted = {OBJECTS[name].address: OBJECTS[name].type for name in (*READ_LIVE, *NEEDED, *CHECKED, *FURTHER)}
+    names = (*READ_LIVE, *NEEDED, *profile.loss_objects, *CHECKED, *FURTHER)
+    wanted = {OBJECTS[name].address: OBJECTS[name].type for name in names}
     return wanted | _references(profile)
 
 
@@ -98,7 +99,8 @@ def live_addresses(profile: DriveProfile) -> frozenset[Address]:
 
 def needed_addresses(profile: DriveProfile) -> frozenset[Address]:
     """Return the objects of `addresses` without which a drive is not moved; the others only inform."""
-    return frozenset(_references(profile)) | {OBJECTS[name].address for name in ("statusword", "position", *NEEDED)}
+    names = ("statusword", "position", *NEEDED, *profile.loss_objects)
+    return frozenset(_references(profile)) | {OBJECTS[name].address for name in names}
 
 
 def read_objects(sdo: SdoClient, profile: DriveProfile) -> tuple[Readings, dict[Address, str]]:
@@ -275,7 +277,7 @@ def judge_bus_load(
     """
     sizes = [0]
     for node_id, profile in axes:
-        plans = (*rpdo_plans(node_id), *tpdo_plans(profile, node_id)[0])
+        plans = (*rpdo_plans(profile, node_id), *tpdo_plans(profile, node_id)[0])
         sizes += [plan.size_bytes for plan in plans]
     sizes += [plan.size_bytes for setup in instruments for plan in setup.plans()]
     bits = cycle_bits_worst(sizes)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from drives.cia402 import FAULTED, Mode, State, decode_state, describe, mode_supported
+from drives.cia402 import FAULTED, FOLLOWING, Mode, State, decode_state, describe, mode_supported
 from drives.objects import OBJECTS, object_name
 from drives.profile import Constant, DriveProfile, Signal
 from drives.values import Identity
@@ -135,12 +135,16 @@ def _mode(axis: Axis, readings: Readings) -> Iterator[Finding]:
     address = OBJECTS["supported_modes"].address
     if modes is None:
         yield axis.item("info", address, "the drive does not report its modes; the mode is read back when it is set")
-    elif not mode_supported(modes, Mode.CYCLIC_SYNC_POSITION):
-        yield axis.item(
-            "fail", address, f"0x{modes:X}: no cyclic synchronous position mode", "enable mode 8 in the drive"
-        )
-    else:
-        yield axis.item("ok", address, "cyclic synchronous position is supported")
+        return
+    mode = Mode(axis.profile.state_machine.cyclic_mode)
+    others = [each.value for each in FOLLOWING if each is not mode and mode_supported(modes, each)]
+    if mode_supported(modes, mode):
+        yield axis.item("ok", address, f"{mode} is supported")
+        return
+    advice = f"enable mode {mode.value} in the drive"
+    if others:
+        advice += f", or write cyclic_mode = {others[0]} to [state_machine] of its profile"
+    yield axis.item("fail", address, f"0x{modes:X}: no {mode} mode", advice)
 
 
 def _torque_object(axis: Axis, readings: Readings) -> Iterator[Finding]:
@@ -298,14 +302,21 @@ def _resolution(axis: Axis, readings: Readings) -> Iterator[Finding]:
 
 
 def _watchdog(axis: Axis, readings: Readings) -> Iterator[Finding]:
-    missing = [name for name in ("abort_connection_option", "consumer_heartbeat") if value_of(readings, name) is None]
+    profile = axis.profile
+    missing = [name for name in profile.loss_objects if value_of(readings, name) is None]
     for name in missing:
         what = "missing: the drive does not detect loss of the master"
-        yield axis.item(
-            "fail", OBJECTS[name].address, what, "use a drive or firmware that monitors the master's heartbeat"
-        )
+        advice = 'write watchdog = "node guarding" to [heartbeat] of the profile if it has 0x100C'
+        if name == "abort_connection_option":
+            what = "missing: the reaction of the drive to loss of the master cannot be set"
+            advice = "remove abort_connection from the profile: the proof of its stop then decides"
+        yield axis.item("fail", OBJECTS[name].address, what, advice)
+    if profile.heartbeat.abort_connection is None:
+        what = "the drive has no 0x6007: only the proof of its stop shows what it does without its master"
+        yield axis.item("info", None, what)
     if not missing:
-        yield axis.item("ok", OBJECTS["consumer_heartbeat"].address, "the drive can monitor the master's heartbeat")
+        entry = OBJECTS[profile.loss_objects[0]]
+        yield axis.item("ok", entry.address, f"the drive can monitor the master's {profile.heartbeat.watchdog}")
 
 
 def counts_per_revolution(profile: DriveProfile, readings: Readings) -> float | None:

@@ -8,9 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.result.interval import TWO_SIDED_95
 from gateway.result.names import SILENT
 from gateway.result.origin import DriveOrigin
-from gateway.result.values import NAN, Matrix, Number, Numbers, Vector, check_lengths
+from gateway.result.values import NAN, Matrix, Number, Numbers, Vector, check_lengths, numbers
+
+Floats = NDArray[np.float64]
 
 #: Role of a visit that no fit has seen because it was measured afterwards.
 FRESH = "fresh"
@@ -59,6 +65,37 @@ class Curve:
     high: Numbers = ()
     points_x: Numbers = ()
     points_y: Numbers = ()
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        axis: int,
+        y_label: str,
+        over: tuple[Floats, str, str],
+        y: Floats,
+        std: Floats,
+        points: tuple[Floats, Floats],
+    ) -> Curve:
+        """Return the curve of an effect on an axis (from 0), sorted along its independent variable.
+
+        Parameters
+        ----------
+        name : str
+        axis : int
+        y_label : str
+        over : array of shape (n,), label and unit
+            Independent variable.
+        y, std : arrays of shape (n,)
+            The effect and its standard deviation.
+        points : two arrays of shape (m,)
+            Measured points.
+        """
+        x, x_label, x_unit = over
+        order = np.argsort(x, kind="stable")
+        y, half = y[order], TWO_SIDED_95 * std[order]
+        drawn = map(numbers, (x[order], y, y - half, y + half, *points))
+        return cls(name, axis + 1, x_label, x_unit, y_label, *drawn)
 
     def __post_init__(self) -> None:
         """Check that the lists of a curve have equal lengths."""

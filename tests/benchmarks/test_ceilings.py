@@ -89,3 +89,8 @@ def test_a_commit_that_raises_a_ceiling_fails(project: Path, capsys: pytest.Capt
             subprocess.run(["git", *words], cwd=project, check=True)
     assert main([], project) == 1
     assert "ceilings of lines add up to 12, 10 in HEAD~1" in capsys.readouterr().err
+    file = project / "pyproject.toml"
+    text = file.read_text()
+    for granted, expected in ((2, 0), (901, 1)):
+        file.write_text(f"{text}\n[tool.granted]\nnew = {granted}\n")
+        assert main([], project) == expected

@@ -36,7 +36,7 @@ def enabling_words(slaves):
 
 def targets(wire, node_id):
     """Every target position that was sent to a node."""
-    return [struct.unpack("<Hih", data)[1] for can_id, data in wire.sent if can_id == 0x200 + node_id]
+    return [struct.unpack("<Hi", data)[1] for can_id, data in wire.sent if can_id == 0x200 + node_id]
 
 
 # -- drives that show their mode only once they are enabled ---------------------------------------------------------

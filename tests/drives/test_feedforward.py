@@ -54,17 +54,19 @@ def test_without_feedforward_the_second_rpdo_is_left_alone(bus, slaves, setups, 
         group.connect()
         group.configure()
         group.enable()
-        group.exchange(commands(slaves, 0.5))
-        with pytest.raises(CommandRefused, match="not configured for a velo"):
-            group.exchange(commands(slaves, velocity_rad_s=1.0))
+        for offsets, index in (({"torque_nm": 0.5}, "60B2"), ({"velocity_rad_s": 1.0}, "60B1")):
+            with pytest.raises(CommandRefused, match=index):
+                group.exchange(commands(slaves, **offsets))
+            group.disable()
+            group.enable()
     assert not [can_id for can_id, _ in wire.sent if 0x300 <= can_id < 0x380]
     touched = {index for slave in slaves for index, _, _ in slave.written}
-    assert not touched & {0x1401, 0x1601, 0x60B1}
+    assert not touched & {0x1401, 0x1601, 0x60B1, 0x60B2}
 
 
 def test_the_offsets_go_out_before_the_sync_in_the_units_of_the_standard(group, slaves, wire):
     group.enable()
-    assert [slave.values[0x1601, 1] for slave in slaves] == [0x60B10020] * 2
+    assert [(slave.values[0x1601, 1], slave.values[0x1600, 3]) for slave in slaves] == [(0x60B10020, 0x60B20010)] * 2
     assert [slave.values[0x1401, 1] for slave in slaves] == [0x301, 0x302]
     group.exchange(commands(slaves, 0.5, -3.0))
     # 1000 per mille = 2 Nm; 0.01 rpm per bit
@@ -112,10 +114,19 @@ def test_a_run_without_feedforward_clears_what_a_crashed_one_has_left(bus, slave
         group.connect()
         group.configure()
     slaves[1].values[0x60B1, 0] = 7000
+    slaves[0].values[0x60B2, 0] = 70
     with DriveGroup(bus, setups(2), PERIOD_S, options=options) as group:
         group.connect()
         group.configure()
-    assert slaves[1].values[0x60B1, 0] == 0
+    assert (slaves[1].values[0x60B1, 0], slaves[0].values[0x60B2, 0]) == (0, 0)
+
+
+def test_an_offset_that_another_tool_has_left_is_cleared(bus, slaves, setups):
+    slaves[0].values[0x60B2, 0], slaves[1].values[0x60B1, 0] = 70, 7000
+    with DriveGroup(bus, setups(2), PERIOD_S) as group:
+        group.connect()
+        group.configure()
+    assert (slaves[0].values[0x60B2, 0], slaves[1].values[0x60B1, 0]) == (0, 0)
 
 
 def test_a_drive_without_the_object_is_refused_before_it_is_enabled(bus, add_slaves, generic):
@@ -150,5 +161,5 @@ def test_the_bus_load_counts_the_second_rpdo(group, bus, setups):
         plain.connect()
         plain.configure()
         difference = group.statistics.bus_load_planned_percent - plain.statistics.bus_load_planned_percent
-    # two frames of 4 bytes, 95 bits each with worst stuffing, at 1 Mbit/s
-    assert difference == pytest.approx(100 * 2 * 95e-6 / PERIOD_S, rel=1e-6)
+    # two frames of 4 bytes, 95 bits each with worst stuffing, and two of 8 instead of 6 bytes, 20 bits more each
+    assert difference == pytest.approx(100 * 2 * 115e-6 / PERIOD_S, rel=1e-6)

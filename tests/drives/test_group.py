@@ -110,7 +110,7 @@ def test_heartbeat_is_sent_often_enough_for_the_drives(group, slaves, wire):
 
 
 def test_pdo_mapping_is_what_the_standard_objects_say(group, slaves):
-    """TPDO1 = 6041, 6064, 6077; TPDO2 = 606C, 6078; RPDO1 = 6040, 607A, 60B2; all synchronous, every SYNC.
+    """TPDO1 = 6041, 6064, 6077; TPDO2 = 606C, 6078; RPDO1 = 6040, 607A; all synchronous, every SYNC.
 
     The inhibit time has no meaning there (CiA 301, 7.5.2.37) and stays as it was.
     """
@@ -118,7 +118,7 @@ def test_pdo_mapping_is_what_the_standard_objects_say(group, slaves):
         values = slave.values
         assert [values[0x1A00, sub] for sub in (0, 1, 2, 3)] == [3, 0x60410010, 0x60640020, 0x60770010]
         assert [values[0x1A01, sub] for sub in (0, 1, 2)] == [2, 0x606C0020, 0x60780010]
-        assert [values[0x1600, sub] for sub in (0, 1, 2, 3)] == [3, 0x60400010, 0x607A0020, 0x60B20010]
+        assert [values[0x1600, sub] for sub in (0, 1, 2, 3)] == [2, 0x60400010, 0x607A0020, 0]
         assert [values[index, 2] for index in (0x1400, 0x1800, 0x1801)] == [1, 1, 1]
         assert [values[index, 3] for index in (0x1800, 0x1801)] == [300, 300]
         assert values[0x6060, 0] == 8
@@ -373,14 +373,6 @@ def test_a_target_outside_the_limits_is_refused_and_nothing_is_sent(group, slave
         group.exchange([*targets(slaves)[:5], command])
     assert len(wire.sent) == sent
     assert group.hold().complete
-
-
-def test_torque_offset_is_sent_in_per_mille_of_the_rated_torque(group, slaves):
-    group.enable()
-    group.exchange([DriveCommand(slave.position * COUNT_RAD, 0.5) for slave in slaves])
-    assert {slave.values[0x60B2, 0] for slave in slaves} == {250}
-    group.hold()
-    assert {slave.values[0x60B2, 0] for slave in slaves} == {0}
 
 
 def test_every_write_is_in_the_ledger_with_the_old_value(group, slaves):

@@ -63,7 +63,7 @@ def test_without_constants_nothing_is_read_and_nothing_assumed(bus, wire, setups
         say(wire, 1, index, subindex, CONSTANTS[index, subindex])
     wire.emit(0x080, b"")
     answer(wire, 1, 5, 5)
-    wire.emit(0x201, struct.pack("<Hih", 0x0F, 7, 0))
+    wire.emit(0x201, struct.pack("<Hi", 0x0F, 7))
     wire.emit(0x080, b"")
     bus.listen(0.01)
     assert listener.unknown == (1,)
@@ -74,7 +74,7 @@ def test_without_constants_nothing_is_read_and_nothing_assumed(bus, wire, setups
 def test_constants_may_come_from_elsewhere(bus, wire, setups):
     listener = ListenOnlyBus(bus, setups(1), [Constants(RATED_NM, RATED_A, None, COUNTS)])
     assert listener.unknown == ()
-    wire.emit(0x201, struct.pack("<Hih", 0x0F, COUNTS // 4, 0))
+    wire.emit(0x201, struct.pack("<Hi", 0x0F, COUNTS // 4))
     bus.listen(0.01)
     assert listener.targets_rad() == [pytest.approx(math.pi / 2)]
 

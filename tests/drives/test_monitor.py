@@ -8,18 +8,21 @@ from types import SimpleNamespace
 
 import pytest
 
+from drives.cia402 import REMOTE
 from drives.emcy import EmcyLog
 from drives.epoch import Epoch
 from drives.errors import DriveFault
 from drives.exchange import Timing
 from drives.monitor import SAME_IN_A_ROW, SETTLED_SYNCS, Monitor
-from drives.profile_file import load_profile
+from drives.profile import DriveProfile
+from drives.profile_file import load_profile, parse_profile
 from drives.reactions import DRIVE_RULES
 from drives.scaling import Constants, MotorScale
 from drives.sdo import Posted
 from drives.values import DriveReading
 
 ENABLED = 0x0237
+GENERIC = load_profile("generic-cia402")
 COUNT_RAD = 6.283185307179586 / 65536
 #: Rows until an answer that stays the same has been compared with SDO.
 LATEST = SAME_IN_A_ROW + SETTLED_SYNCS + 2
@@ -28,15 +31,14 @@ LATEST = SAME_IN_A_ROW + SETTLED_SYNCS + 2
 class Rig:
     """Two drives whose SDO answers are `truth`, (position, torque) by axis."""
 
-    def __init__(self, pacing: str) -> None:
+    def __init__(self, pacing: str, profile: DriveProfile = GENERIC) -> None:
         self.truth = [(1000, 10), (2000, 20)]
-        profile = load_profile("generic-cia402")
         drives = tuple(self._drive(axis, profile) for axis in range(2))
         timing = Timing(0.01, pacing)  # type: ignore[arg-type]
         exchange = SimpleNamespace(drives=drives, timing=timing, unanswered=[0, 0], statuswords=[None, None])
         bus = SimpleNamespace(foreign={}, foreign_count=0, bus_off=False)
         watch = SimpleNamespace(contrary={}, booted=set(), lost=tuple, forgive=lambda: None)
-        self.emcy = EmcyLog({})
+        self.emcy = EmcyLog({2: profile})
         self.monitor = Monitor(bus, exchange, watch, self.emcy)  # type: ignore[arg-type]
         self.bits_in_a_row = DRIVE_RULES["internal_limit"].syncs(timing.period_s, pacing)
         self.statuswords: list[int | None] = exchange.statuswords
@@ -87,9 +89,28 @@ def test_a_bit_that_stays_set_stops_and_one_that_flickers_does_not(rig: Rig, wor
         turn, later = divmod(number, rig.bits_in_a_row)
         rig.check((word if later else (ENABLED, other)[turn % 2], number, 0), (ENABLED, number, 0))
     rig.monitor.forgive()
+    rig.check((ENABLED, 0, 0), (ENABLED, 0, 0))
     with pytest.raises(DriveFault, match=f"node 2.*bit {bit}") as stopped:
         rig.checks(*(((ENABLED, number, 0), (word, number, 0)) for number in range(rig.bits_in_a_row)))
     assert stopped.value.code == word
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "real"])
+def test_a_drive_whose_profile_says_so_may_warn_by_bit_11_and_by_an_emergency(pacing: str) -> None:
+    warning = '\n[[emcy]]\ncode = 0x3283\ntext = "mains voltage low"\nadvice = "check the supply"\nwarning = true\n'
+    text = GENERIC.text.replace("[state_machine]", "[state_machine]\nignored_status = 0x0800") + warning
+    rig = Rig(pacing, parse_profile(text, "warns.toml"))
+    for number in range(3 * rig.bits_in_a_row):
+        rig.emcy.on_frame(0x82, b"\x83\x32\x01\x00\x00\x00\x00\x00", 0.0)
+        rig.check((ENABLED, number, 0), (ENABLED | 1 << 11, number, 0))
+    rig.emcy.on_frame(0x82, b"\x10\x32\x01\x00\x00\x00\x00\x00", 0.0)
+    with pytest.raises(DriveFault, match="0x3210"):
+        rig.check((ENABLED, 0, 0), (ENABLED | 1 << 11, 0, 0))
+
+
+def test_a_drive_that_never_shows_remote_control_goes_on(rig: Rig) -> None:
+    for number in range(3 * rig.bits_in_a_row):
+        rig.check((ENABLED & ~REMOTE, number, 0), (ENABLED, number, 0))
 
 
 FOLLOWS = ENABLED | 1 << 12

@@ -43,12 +43,12 @@ def test_597_cycles_of_six_drives_fit_one_megabit():
 
 
 def test_a_rate_that_does_not_fit_is_refused_with_the_one_that_does(bus, add_slaves, setups):
-    """SYNC + 12 TPDO + 6 RPDO = 6 x (135 + 115 + 135) + 55 bits; 70 % of 1 Mbit/s."""
+    """SYNC + 12 TPDO + 6 RPDO = 6 x (135 + 115 + 115) + 55 bits; 70 % of 1 Mbit/s."""
     add_slaves(6)
-    bits = 55 + 6 * (135 + 115 + 135)
+    bits = 55 + 6 * (135 + 115 + 115)
     with DriveGroup(bus, setups(6), 0.002, "real") as group:
         group.connect()
-        with pytest.raises(BusOverload, match=f"{bits / 20:.0f} %.*0.0034"):
+        with pytest.raises(BusOverload, match=f"{bits / 20:.0f} %.*0.0033"):
             group.configure()
     with DriveGroup(bus, setups(6), 0.002, "lockstep") as group:
         group.connect()

@@ -50,7 +50,7 @@ def test_a_contradiction_is_named(load, name, old, new, says):
 
 def test_all_contradictions_are_named_at_once(load):
     sheet = section(section(SHEET, "6077", "0x0003", "0x0006"), "60B2", "PDOMapping=1", "PDOMapping=0")
-    with pytest.raises(ProfileError, match="60B2:00.*6077:00"):
+    with pytest.raises(ProfileError, match="6077:00.*60B2:00"):
         load(sheet)
 
 

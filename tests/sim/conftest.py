@@ -104,14 +104,21 @@ class Master:
         """Write one PDO map; returns the identifier."""
         com, table = (0x1400, 0x1600) if receive else (0x1800, 0x1A00)
         can_id = (0x200 if receive else 0x180) + 0x100 * number + node
-        self.write(node, com + number, 1, 0x80000000 | can_id, 4)
+        self._write_unless_fixed(node, com + number, 1, 0x80000000 | can_id, 4)
         self.write(node, table + number, 0, 0, 1)
         for sub, entry in enumerate(entries, start=1):
             self.write(node, table + number, sub, entry, 4)
         self.write(node, table + number, 0, len(entries), 1)
-        self.write(node, com + number, 2, sync_type, 1)
-        self.write(node, com + number, 1, can_id, 4)
+        self._write_unless_fixed(node, com + number, 2, sync_type, 1)
+        self._write_unless_fixed(node, com + number, 1, can_id, 4)
         return can_id
+
+    def _write_unless_fixed(self, *arguments: int) -> None:
+        try:
+            self.write(*arguments)
+        except Aborted as aborted:
+            if aborted.code != 0x06010002:  # read-only
+                raise
 
     def configure(self, node: int, mode: int) -> None:
         """TPDO1 and RPDO1 as the gateway has them, mode, OPERATIONAL."""

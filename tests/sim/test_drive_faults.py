@@ -74,6 +74,13 @@ def moves_on(bench: Bench) -> bool:
     return bench.state is PdsState.OPERATION_ENABLED and abs(bench.speeds[-1]) > 0.15
 
 
+#: Rows by which drives of makes differ: the axis moves as it does in any other drive.
+MAKE_ROWS = (
+    *("object_absent", "object_read_only", "object_value", "object_range", "object_not_mappable", "object_size"),
+    *("object_rounded", "record_short", "status_bits_off", "status_bits_on", "mode_display_late", "warning_emcy"),
+    *("mapping_locked", "period_pair", "rpdo_at_once", "position_wraps", "sync_producer", "modes_supported"),
+)
+
 Effect = Callable[[Bench], bool]
 EFFECTS: dict[str, Effect] = {
     "node_killed": lambda bench: bench.drive.node.unpowered and at_rest_in_its_brake(bench),
@@ -126,6 +133,10 @@ EFFECTS: dict[str, Effect] = {
     "brake_falls": moves_on,
     **{kind: moves_on for kind, about in KINDS.items() if about.reaction == "drive test"},
     "slow_brake": moves_on,
+    # three words at once: only the last one is left to act
+    "slow_enable": lambda bench: bench.state is PdsState.SWITCH_ON_DISABLED and at_rest_in_its_brake(bench),
+    **dict.fromkeys(MAKE_ROWS, moves_on),
+    "single_turn": at_rest_in_its_brake,
 }
 
 

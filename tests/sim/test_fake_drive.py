@@ -15,7 +15,7 @@ def test_boot_up_is_announced_and_identity_is_there(drives):
     master, _ = drives
     assert master.number(NODE, 0x1000) & 0xFFFF == 0x0192
     assert master.number(NODE, 0x1018, 0) == 4
-    assert master.number(NODE, 0x6502) == 1 << 0 | 1 << 7 | 1 << 9
+    assert master.number(NODE, 0x6502) == 1 << 0 | 1 << 6 | 1 << 7 | 1 << 9
     master.send(0x000, bytes([129, NODE]))
     assert master.wait(0x700 + NODE) == b"\x00"
 

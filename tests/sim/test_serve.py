@@ -163,16 +163,21 @@ def test_every_profile_makes_drives_that_answer(profile, tmp_path, channel, mast
         master = master_on(channel)
         assert profile.encode() in master.read(3, 0x1008)
         drive = simulation.simulation.servers[0].drive(3)
-        master.write(3, 0x6060, 0, 8, 1)
+        csp = master.number(3, 0x6502) >> 7 & 1
+        master.write(3, 0x6060, 0, 8 if csp else 7, 1)
+        if profile == "nanotec":  # delivered with too small a limit to carry the arm
+            master.write(3, 0x6072, 0, 3750, 2)
         word = drive.units.torque
+        if profile == "trinamic":  # has no torque
+            return
         size = {"i16": 2, "i32": 4}[word.type]
         master.map(3, 0, (0x60410010, 0x60640020), 1)
         master.map(3, 1, (word.address[0] << 16 | word.address[1] << 8 | 8 * size,), 1)
-        master.map(3, 0, (0x60400010, 0x607A0020, 0x60B20010), 1, receive=True)
+        master.map(3, 0, (0x60400010, 0x607A0020 if csp else 0x60C10120), 1, receive=True)
         master.send(0x000, bytes([1, 3]))
         position = master.number(3, 0x6064, signed=True)
-        for command in (0x06, 0x07, *[0x0F] * 250):
-            master.send(0x203, command.to_bytes(2, "little") + position.to_bytes(4, "little", signed=True) + bytes(2))
+        for command in (0x06, 0x07, 0x0F, *[0x0F if csp else 0x1F] * 250):
+            master.send(0x203, command.to_bytes(2, "little") + position.to_bytes(4, "little", signed=True))
             master.send(0x080, b"")
             status = master.wait(0x183)
             raw = int.from_bytes(master.wait(0x283), "little", signed=True)

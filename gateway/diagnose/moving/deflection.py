@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.moving.penalised_fit import MovingProblem
 from gateway.diagnose.moving.state import MovingState
-from gateway.diagnose.wind_up import design_of, wind_up
+from gateway.diagnose.wind_up import design_of, elastic, wind_up
 from gateway.identify.correlation import counting_share
 from gateway.model.motion import Mask
 from gateway.result.result import EffectResult, Evidence
@@ -34,14 +34,12 @@ def elastic_joints(
         if not np.isfinite(bend).all() or not motion.measured[axis]:
             continue
         fitted = ~motion.held_out
-        seen = wind_up(torque[fitted], bend[fitted], counting_share, motion.axes)
-        compliance, std = seen.compliance_rad_nm, seen.std_rad_nm
+        compliance, std, p_value = wind_up(torque[fitted], bend[fitted], counting_share, motion.axes)
         ratio = _held_out_ratio(pairs, design_of(torque), bend)
         bent = compliance * float(np.abs(torque).max())
         if compliance < MOVING.wind_up * std or ratio > MOVING.wind_up_ratio or bent > MOVING.largest_wind_up_rad:
             continue
-        key, evidence = "compliance_rad_nm", Evidence(holdout_rms_ratio=ratio, p_value=seen.p_value)
-        found.append(EffectResult("joint_elasticity", (axis + 1,), {key: compliance}, {key: std}, evidence))
+        found.append(elastic(axis, compliance, std, Evidence(holdout_rms_ratio=ratio, p_value=p_value)))
     return tuple(found)
 
 

@@ -17,8 +17,7 @@ from gateway.model.effect import Over
 from gateway.model.effects import LIBRARY
 from gateway.model.term import Term
 from gateway.result.drawn import Curve, Drawn
-from gateway.result.interval import TWO_SIDED_95
-from gateway.result.values import matrix, numbers
+from gateway.result.values import matrix
 
 Floats = NDArray[np.float64]
 
@@ -66,25 +65,19 @@ def _curve(problem: MovingProblem, state: MovingState, terms: tuple[Term, ...]) 
     axis = max(axes, key=lambda number: float(np.mean((effect * motion.judged)[:, number] ** 2)))
     rows = np.flatnonzero(motion.judged[:, axis])
     rows = rows[:: max(1, int(np.ceil(len(rows) / MOST_POINTS)))]
-    covariance = spread_of(problem, state, where)
     part = columns[rows, axis]
-    spread = TWO_SIDED_95 * np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", part, covariance, part), 0.0))
+    variance = np.einsum("nk,kl,nl->n", part, spread_of(problem, state, where), part)
     y, points = effect[rows, axis], effect[rows, axis] + full.residual_nm[rows, axis]
-    x, label, unit = _abscissa(problem, state, terms[0], axis, y, rows)
-    order = np.argsort(x, kind="stable")
-    x, y, spread, points = x[order], y[order], spread[order], points[order]
-    return Curve(
+    over = _abscissa(problem, state, terms[0], axis, y, rows)
+    order = np.argsort(over[0], kind="stable")
+    return Curve.of(
         name=terms[0].name,
-        joint=axis + 1,
-        x_label=label,
-        x_unit=unit,
+        axis=axis,
         y_label=f"J{axis + 1} torque [Nm]",
-        x=numbers(x),
-        y=numbers(y),
-        low=numbers(y - spread),
-        high=numbers(y + spread),
-        points_x=numbers(x),
-        points_y=numbers(points),
+        over=over,
+        y=y,
+        std=np.sqrt(np.maximum(variance, 0.0)),
+        points=(over[0][order], points[order]),
     )
 
 

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from gateway.diagnose.moving.candidates import possible
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.moving.penalised_fit import MovingProblem, fit, prior_precision
 from gateway.diagnose.moving.state import MovingState, refitted, state_of
-from gateway.diagnose.moving.trial import extend, put_on_trial, trials_of
+from gateway.diagnose.moving.trial import extend, possible, put_on_trial, trials_of
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.term import Term
 

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.diagnose.moving.candidates import candidates, possible, suggested
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING, Demands
 from gateway.diagnose.moving.penalised_fit import MovingProblem
 from gateway.diagnose.moving.ratio import NOT_HELD, HeldRatio
 from gateway.diagnose.moving.refine import refine, reshaped
 from gateway.diagnose.moving.state import MovingState, beyond_usual, compare, lacking, refitted, state_of, with_noise_of
-from gateway.diagnose.moving.trial import Trial, demanded_most, trials_of
+from gateway.diagnose.moving.trial import Trial, candidates, demanded_most, possible, suggested, trials_of
 from gateway.model.effects import DRAWN, FRICTION
 from gateway.model.term import Label, Term
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from gateway.cell.quantities import inertials_text
 from gateway.data.table import Table
-from gateway.diagnose.rest.bias import friction_by_direction
-from gateway.diagnose.rest.deflection import elastic_joints
+from gateway.diagnose.rest.direct_effects import elastic_joints, friction_by_direction
 from gateway.diagnose.rest.formula import Formulas, candidate_formula, searched_formulas
 from gateway.diagnose.rest.holdout import Unseen, predicted, prediction_covariance
 from gateway.diagnose.rest.pose_selection import PoseChoice, questions
@@ -42,7 +41,7 @@ from gateway.diagnose.rest.rest_outcome import (
     rejected,
     summary,
 )
-from gateway.diagnose.rest.rest_plots import DrawnVisits, pictures
+from gateway.diagnose.rest.rest_plots import pictures
 from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
 from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.validation_tests import fresh_misfit, fresh_seen_nm, spare_rows
@@ -392,7 +391,7 @@ class RestDiagnosis:
             + refused_findings(after.loads)
             + limits(problem)
         )
-        rows, drawn = pictures(DrawnVisits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
+        rows, drawn = pictures(problem, held, "fresh" if kind == "fresh" else "held out", decision)
         return Result(
             robot=self.robot.name,
             loads=after.loads,

@@ -143,7 +143,7 @@ def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResu
         for term, theta in zip(other.terms, other.theta, strict=True):
             if term.label != (effect.name, effect.joints):
                 continue
-            values, _ = term.report(theta, np.zeros((len(theta), len(theta))))
+            values = term.reported(theta)
             for key in variance.keys() & values.keys() & effect.parameters.keys():
                 variance[key] += weight * (values[key] - effect.parameters[key]) ** 2
     return replace(effect, std={key: float(np.sqrt(value)) for key, value in variance.items()})

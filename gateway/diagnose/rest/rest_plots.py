@@ -9,7 +9,7 @@ value, so that its points are along the diagonal.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -24,9 +24,8 @@ from gateway.model.rest import Model, Prediction
 from gateway.model.term import Term
 from gateway.model.visits import Visits
 from gateway.result.drawn import Curve, Drawn
-from gateway.result.interval import TWO_SIDED_95
 from gateway.result.result import Rows
-from gateway.result.values import Matrix, matrix, numbers
+from gateway.result.values import Matrix, matrix
 
 Floats = NDArray[np.float64]
 
@@ -36,43 +35,27 @@ GRID = 60
 GRID_MARGIN = 0.05
 #: Relative step [-] of a derivative: half the digits of a float, and some.
 STEP = 1e-4
+#: Readings of a visit, with their fields.
+READINGS: Final = {"half the sum": "sum_nm", "half the difference": "difference_nm"}
 #: What an effect at rest can be drawn over.
 SEEN: Final = frozenset({Over.ANGLE, Over.TORQUE, Over.TORQUE_BY_DIRECTION, Over.TIME})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DrawnVisits:
-    """Visits to draw, including held-out ones.
-
-    Attributes
-    ----------
-    problem : RestProblem
-    fresh : (n,) True for held-out visits
-    kind : label of the held-out visits
-    """
-
-    problem: RestProblem
-    fresh: NDArray[np.bool_]
-    kind: str
-
-    @classmethod
-    def of(cls, problem: RestProblem, held: Unseen | None, kind: str) -> DrawnVisits:
-        """Join fitted visits and held-out ones, in this order."""
-        if held is None:
-            return cls(problem, np.zeros(len(problem.rows), dtype=bool), kind)
-        return cls(held.problem, np.arange(len(held.problem.rows)) >= len(problem.rows), kind)
-
-
-def pictures(visits: DrawnVisits, decision: Decision) -> tuple[Rows, Drawn]:
+def pictures(problem: RestProblem, held: Unseen | None, kind: str, decision: Decision) -> tuple[Rows, Drawn]:
     """Build the result rows and plot data: role, curves, models before and after.
 
     Parameters
     ----------
-    visits : DrawnVisits
+    problem : RestProblem
+    held : Unseen or None
+        Held-out visits, which are drawn after the fitted ones.
+    kind : str
+        Role of the held-out visits.
     decision : Decision
     """
-    problem, after = visits.problem, decision.after
-    rows = problem.rows
+    fitted, after = len(problem.rows), decision.after
+    problem = problem if held is None else held.problem
+    rows, modelled = problem.rows, _predict(problem, after, after.terms)
     shown = Rows(
         run=tuple(rows.run.tolist()),
         load=tuple(rows.load.tolist()),
@@ -81,36 +64,34 @@ def pictures(visits: DrawnVisits, decision: Decision) -> tuple[Rows, Drawn]:
         q_rad=matrix(rows.q_rad),
         direction=tuple(tuple(int(side) for side in row) for row in rows.side),
         tau_nm=matrix(rows.sum_nm),
-        model_nm=matrix(_known(_predict(problem, after, after.terms).sum_nm, problem)),
+        model_nm=_known(modelled.sum_nm, problem.use_sum),
         band_nm=matrix(rows.difference_nm),
         std_nm=matrix(np.broadcast_to(after.noise.std[: problem.axes], rows.sum_nm.shape)),
     )
     drawn = Drawn(
-        role=tuple(visits.kind if fresh else "fit" for fresh in visits.fresh),
-        band_model_nm=_known_band(_predict(problem, after, after.terms).difference_nm, problem),
+        role=("fit",) * fitted + (kind,) * (len(rows) - fitted),
+        band_model_nm=_known(modelled.difference_nm, problem.use_difference),
     )
     if decision.proven:
         before = _predict(problem, decision.before, decision.before.terms)
         drawn = replace(
             drawn,
-            model_before_nm=matrix(_known(before.sum_nm, problem)),
-            band_model_before_nm=_known_band(before.difference_nm, problem),
+            model_before_nm=_known(before.sum_nm, problem.use_sum),
+            band_model_before_nm=_known(before.difference_nm, problem.use_difference),
             curves=tuple(_curve(problem, after, after.terms.index(term)) for term in decision.proven),
         )
     return shown, drawn
 
 
-def _known(values: Floats, problem: RestProblem) -> Floats:
-    return np.where(problem.use_sum, values, np.nan)
+def _known(values: Floats, used: NDArray[np.bool_]) -> Matrix:
+    return matrix(np.where(used, values, np.nan))
 
 
-def _known_band(values: Floats, problem: RestProblem) -> Matrix:
-    return matrix(np.where(problem.use_difference, values, np.nan))
-
-
-def _predict(problem: RestProblem, fit: Fit, terms: Sequence[Term]) -> Prediction:
-    """Reading of the fitted arm with the selected effects."""
-    theta = [fit.theta[fit.terms.index(term)] for term in terms]
+def _predict(
+    problem: RestProblem, fit: Fit, terms: Sequence[Term], theta: Sequence[Floats] | None = None
+) -> Prediction:
+    """Reading of the fitted arm with the selected effects, with their fitted parameters unless given."""
+    theta = [fit.theta[fit.terms.index(term)] for term in terms] if theta is None else theta
     setting = with_terms(problem, terms, theta, fit.nuisance)
     return problem.model.predict(setting, fit.links, visit_loads(problem, fit.loads), fit.band)
 
@@ -120,49 +101,34 @@ def _curve(problem: RestProblem, fit: Fit, position: int) -> Curve:
     term = fit.terms[position]
     others = [other for place, other in enumerate(fit.terms) if place != position]
     complete, without = _predict(problem, fit, fit.terms), _predict(problem, fit, others)
-    effects = {
-        "half the sum": (complete.sum_nm - without.sum_nm, problem.rows.sum_nm - without.sum_nm),
-        "half the difference": (
-            complete.difference_nm - without.difference_nm,
-            problem.rows.difference_nm - without.difference_nm,
-        ),
-    }
-    reading, axis = _largest(effects, term)
+    effects, size = {}, {}
+    for reading, field in READINGS.items():
+        effect = getattr(complete, field) - getattr(without, field)
+        left = getattr(problem.rows, field) - getattr(without, field)
+        effects[reading] = effect, left
+        size[reading] = np.sqrt(np.mean(np.where(np.isfinite(left), effect, 0.0) ** 2, axis=0))
+    reading = max(size, key=lambda name: float(size[name].max()))
+    axis = max(term.enters(problem.axes), key=lambda number: float(size[reading][number]))
     effect, left = (values[:, axis] for values in effects[reading])
     x, x_label, x_unit = _abscissa(term, axis, problem.rows, without.joint_nm)
-    spread = _spread(problem, fit, position)[reading][:, axis]
     over = LIBRARY[term.name].over
     if over not in SEEN:
         x, x_label, x_unit = effect, "the effect at each visit, modelled", "Nm"
-    points_x, points_y = x, left
+    seen = np.isfinite(x) & np.isfinite(left)
+    points = x[seen], left[seen]
     if over is Over.ANGLE:
-        x, effect, spread = _over_angle(problem, fit, position, axis)
-    order = np.argsort(x, kind="stable")
-    x, effect, spread = x[order], effect[order], TWO_SIDED_95 * spread[order]
-    seen = np.isfinite(points_x) & np.isfinite(points_y)
-    return Curve(
+        x, effect, std = _over_angle(problem, fit, position, axis)
+    else:
+        std = _std(problem, fit, position, READINGS[reading])[:, axis]
+    return Curve.of(
         name=term.name,
-        joint=axis + 1,
-        x_label=x_label,
-        x_unit=x_unit,
+        axis=axis,
         y_label=f"J{axis + 1}, {reading} of both sides [Nm]",
-        x=numbers(x),
-        y=numbers(effect),
-        low=numbers(effect - spread),
-        high=numbers(effect + spread),
-        points_x=numbers(points_x[seen]),
-        points_y=numbers(points_y[seen]),
+        over=(x, x_label, x_unit),
+        y=effect,
+        std=std,
+        points=points,
     )
-
-
-def _largest(effects: dict[str, tuple[Floats, Floats]], term: Term) -> tuple[str, int]:
-    """Reading and axis in which an effect is largest; its own axis if it has one."""
-    size = {
-        name: np.sqrt(np.mean(np.where(np.isfinite(left), effect, 0.0) ** 2, axis=0))
-        for name, (effect, left) in effects.items()
-    }
-    reading = max(size, key=lambda name: float(size[name].max()))
-    return reading, max(term.enters(len(size[reading])), key=lambda axis: float(size[reading][axis]))
 
 
 def _abscissa(term: Term, axis: int, rows: Visits, torque_nm: Floats) -> tuple[Floats, str, str]:
@@ -193,30 +159,22 @@ def _over_angle(problem: RestProblem, fit: Fit, position: int, axis: int) -> tup
     )
     others = [other for place, other in enumerate(fit.terms) if place != position]
     effect = _predict(drawn, fit, fit.terms).sum_nm - _predict(drawn, fit, others).sum_nm
-    return grid, effect[:, axis], _spread(drawn, fit, position)["half the sum"][:, axis]
+    return grid, effect[:, axis], _std(drawn, fit, position, "sum_nm")[:, axis]
 
 
-def _spread(problem: RestProblem, fit: Fit, position: int) -> dict[str, Floats]:
-    """Standard deviation (n, N) of the reading due to one effect's parameters."""
-    term, theta = fit.terms[position], fit.theta[position]
+def _std(problem: RestProblem, fit: Fit, position: int, field: str) -> Floats:
+    """Standard deviation (n, N) of one field of the reading due to one effect's parameters."""
+    theta = fit.theta[position]
     start = problem.n_common + sum(len(other) for other in fit.theta[:position])
     covariance = fit.covariance[start : start + len(theta), start : start + len(theta)]
-    columns: dict[str, list[Floats]] = {"half the sum": [], "half the difference": []}
+    slopes = []
     for index in range(len(theta)):
         step = STEP * max(abs(theta[index]), float(np.sqrt(covariance[index, index])), 1e-9)
-        sides = [_moved(problem, fit, term, index, sign * step) for sign in (1.0, -1.0)]
-        columns["half the sum"].append((sides[0].sum_nm - sides[1].sum_nm) / (2 * step))
-        columns["half the difference"].append((sides[0].difference_nm - sides[1].difference_nm) / (2 * step))
-    out = {}
-    for name, parts in columns.items():
-        slope = np.stack(parts, axis=-1)
-        out[name] = np.sqrt(np.maximum(np.einsum("nai,ij,naj->na", slope, covariance, slope), 0.0))
-    return out
-
-
-def _moved(problem: RestProblem, fit: Fit, term: Term, index: int, step: float) -> Prediction:
-    position = fit.terms.index(term)
-    theta = [values.copy() for values in fit.theta]
-    theta[position][index] += step
-    setting = with_terms(problem, fit.terms, theta, fit.nuisance)
-    return problem.model.predict(setting, fit.links, visit_loads(problem, fit.loads), fit.band)
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = [values.copy() for values in fit.theta]
+            moved[position][index] += sign * step
+            sides.append(getattr(_predict(problem, fit, fit.terms, moved), field))
+        slopes.append((sides[0] - sides[1]) / (2 * step))
+    slope = np.stack(slopes, axis=-1)
+    return np.sqrt(np.maximum(np.einsum("nai,ij,naj->na", slope, covariance, slope), 0.0))

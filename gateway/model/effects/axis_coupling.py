@@ -14,7 +14,7 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, moving_axes
+from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes
 from gateway.model.motion import Modelled, MovingRows, smooth_sign
 from gateway.model.rest import AlteredModel
 from gateway.model.term import NAN, Named, Seen, Term, on_axis, plus, wrist
@@ -88,32 +88,32 @@ class MotorCoupling(_Coupling):
         """Return True if at most one coefficient is significantly negative: motor friction dissipates energy."""
         return bool((value[:2] > -2.0 * std[:2]).all() and (value[:2] > 0).any())
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        values, std = Term.report(self, theta, covariance)
-        return values | {"coefficient": self.coefficient}, std
+    @property
+    def form(self) -> Named:
+        return {"coefficient": self.coefficient}
+
+
+def _geared(axes: int) -> set[tuple[int, int]]:
+    """Return the pairs within the wrist, and those of axes 2, 3 and 4.
+
+    On the latter a parallel link carries both, or cables go from one axis to the next.
+    """
+    groups = wrist(axes), range(1, min(axes, 4))
+    return {(inner, outer) for group in groups for inner in group for outer in group if inner < outer}
 
 
 def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
-    yield from (TorqueMixing(*pair) for pair in sorted(_within(wrist(rows.axes)) | _along_the_arm(rows.axes)))
+    yield from (TorqueMixing(*pair) for pair in sorted(_geared(rows.axes)))
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
     """Return couplings of the outer motor to the inner joint; the reverse needs a train that reaches back."""
     neighbours = {(axis, axis + 1) for axis in range(motion.axes - 1)}
-    moving = set(moving_axes(motion))
-    for pair in sorted(neighbours | _within(wrist(motion.axes)) | _along_the_arm(motion.axes)):
+    moving = set(measured_axes(motion))
+    for pair in sorted(neighbours | _geared(motion.axes)):
         if set(pair) <= moving:
             yield from (MotorCoupling(*pair, coefficient) for coefficient in COEFFICIENTS)
             yield TorqueMixing(*pair)
-
-
-def _within(axes: tuple[int, ...]) -> set[tuple[int, int]]:
-    return {(inner, outer) for inner in axes for outer in axes if inner < outer}
-
-
-def _along_the_arm(axes: int) -> set[tuple[int, int]]:
-    """Return the axes 2, 3 and 4: a parallel link whose motor carries both, or cables from one axis to the next."""
-    return _within(tuple(range(1, min(axes, 4))))
 
 
 EFFECT: Final = Effect(

@@ -11,7 +11,7 @@ The torque determines stiffness times lever times anchor only. The stiffness is 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final, Self
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, largest_torque_nm
 from gateway.model.motion import MovingRows
-from gateway.model.term import NAN, Named, PassiveTorque, Seen, Term, propagated
+from gateway.model.term import NAN, AngleTorque, Named, Seen, Term
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -49,7 +49,7 @@ FREE_SPREAD: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class _Balancer(PassiveTorque):
+class _Balancer(AngleTorque):
     """Balancer spring, shortest at q2 = phase."""
 
     axis: int = 1
@@ -58,6 +58,10 @@ class _Balancer(PassiveTorque):
     largest_nm: float = 1.0
     name: ClassVar[str] = "balancer_spring"
     is_common: ClassVar[bool] = True
+
+    @property
+    def form(self) -> Named:
+        return {"reach_m": REACH_M}
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
         """Return True if the balancer compensates a substantial share of the gravity torque of its axis."""
@@ -91,17 +95,13 @@ class HarmonicBalancer(_Balancer):
         q = q_rad[:, self.axis]
         return np.stack([np.cos(q), np.sin(q)], axis=1)
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        def named(value: Floats) -> Named:
-            amplitude, ratio = float(np.hypot(value[0], value[1])), _share(value[2])
-            return {
-                "stiffness_n_m": amplitude * 2.0 / (ratio * REACH_M**2 * (1.0 - float(value[3]))),
-                "amplitude_nm": amplitude,
-                "phase_rad": float(np.arctan2(value[0], -value[1])),
-            }
-
-        values, std = propagated(named, theta, covariance)
-        return values | {"reach_m": REACH_M}, std
+    def named(self, theta: Floats) -> Named:
+        amplitude, ratio = float(np.hypot(theta[0], theta[1])), _share(theta[2])
+        return {
+            "stiffness_n_m": amplitude * 2.0 / (ratio * REACH_M**2 * (1.0 - float(theta[3]))),
+            "amplitude_nm": amplitude,
+            "phase_rad": float(np.arctan2(theta[0], -theta[1])),
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,19 +137,15 @@ class CoilBalancer(_Balancer):
         force = theta[0] * (length - USUAL_FREE) + theta[1]
         return bool(theta[0] > 0 and (force > -0.1 * np.abs(force).max()).all())
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        def named(value: Floats) -> Named:
-            strength, ratio = float(value[0]), _share(value[3])
-            free = USUAL_FREE - float(value[1]) / strength if strength else np.nan
-            return {
-                "stiffness_n_m": strength * 2.0 / (ratio * REACH_M**2),
-                "free_length_m": free * REACH_M,
-                "phase_rad": float(value[2]),
-                "lever_ratio": ratio,
-            }
-
-        values, std = propagated(named, theta, covariance)
-        return values | {"reach_m": REACH_M}, std
+    def named(self, theta: Floats) -> Named:
+        strength, ratio = float(theta[0]), _share(theta[3])
+        free = USUAL_FREE - float(theta[1]) / strength if strength else np.nan
+        return {
+            "stiffness_n_m": strength * 2.0 / (ratio * REACH_M**2),
+            "free_length_m": free * REACH_M,
+            "phase_rad": float(theta[2]),
+            "lever_ratio": ratio,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,21 +180,16 @@ class GasBalancer(_Balancer):
     def plausible(self, theta: Floats, rows: Visits) -> bool:
         return bool(theta[0] > 0)
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
+    def named(self, theta: Floats) -> Named:
         """Return the stiffness at the shortest length, and `gas_stroke` = rod stroke / gas column length."""
-
-        def named(value: Floats) -> Named:
-            ratio, stroke = _share(value[2]), _stroke(value[3])
-            slope = POLYTROPIC * stroke / (np.sqrt(1.0 + ratio) - np.sqrt(1.0 - ratio))
-            return {
-                "stiffness_n_m": float(value[0] * slope) * 2.0 / (ratio * REACH_M**2),
-                "phase_rad": float(value[1]),
-                "lever_ratio": ratio,
-                "gas_stroke": stroke,
-            }
-
-        values, std = propagated(named, theta, covariance)
-        return values | {"reach_m": REACH_M}, std
+        ratio, stroke = _share(theta[2]), _stroke(theta[3])
+        slope = POLYTROPIC * stroke / (np.sqrt(1.0 + ratio) - np.sqrt(1.0 - ratio))
+        return {
+            "stiffness_n_m": float(theta[0] * slope) * 2.0 / (ratio * REACH_M**2),
+            "phase_rad": float(theta[1]),
+            "lever_ratio": ratio,
+            "gas_stroke": stroke,
+        }
 
 
 def _share(logit: float) -> float:
@@ -220,9 +211,7 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
         return
     missed = np.nan_to_num(np.abs(rows.sum_nm - setup.torque_nm)).max(axis=0)
     size = float(max(largest_torque_nm(setup)[1], 4.0 * missed[1]))
-    for ratio, phase in itertools.product(RATIOS, PHASES_RAD):
-        yield CoilBalancer(1, ratio, phase, size)
-        yield from (GasBalancer(1, ratio, phase, size, stroke) for stroke in STROKES)
+    yield from _forms(RATIOS, size)
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
@@ -230,9 +219,13 @@ def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
         return
     size = float(np.abs(motion.tau_nm[motion.judged[:, 1], 1]).max())
     yield HarmonicBalancer()
-    for phase in PHASES_RAD:
-        yield CoilBalancer(1, USUAL_RATIO, phase, size)
-        yield from (GasBalancer(1, USUAL_RATIO, phase, size, stroke) for stroke in STROKES)
+    yield from _forms((USUAL_RATIO,), size)
+
+
+def _forms(ratios: Iterable[float], size_nm: float) -> Iterator[Term]:
+    for ratio, phase in itertools.product(ratios, PHASES_RAD):
+        yield CoilBalancer(1, ratio, phase, size_nm)
+        yield from (GasBalancer(1, ratio, phase, size_nm, stroke) for stroke in STROKES)
 
 
 EFFECT: Final = Effect(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, RestSetup
+from gateway.model.effect import Effect
 from gateway.model.motion import Modelled, MovingRows, changed_torque
 from gateway.model.rest import AlteredModel
 from gateway.model.term import Term
@@ -38,14 +38,6 @@ class BaseTilt(Term):
         return np.stack(parts, axis=2)
 
 
-def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
-    yield BaseTilt()
-
-
-def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    yield BaseTilt()
-
-
 EFFECT: Final = Effect(
     name="base_tilt",
     words="a tilted base",
@@ -54,7 +46,7 @@ EFFECT: Final = Effect(
         "tilt_x_rad",
         "tilt_y_rad",
     ),
-    at_rest=_at_rest,
-    in_motion=_in_motion,
+    at_rest=lambda rows, setup: [BaseTilt()],
+    in_motion=lambda motion, setup: [BaseTilt()],
     drawn=True,
 )

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
+from gateway.model.effect import Effect, Over, measured_axes
 from gateway.model.motion import MovingRows
-from gateway.model.term import NAN, Named, PassiveTorque, Seen, Term, propagated, wrist
+from gateway.model.term import NAN, AngleTorque, Named, Seen, Term, wrist
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class _Cable(PassiveTorque):
+class _Cable(AngleTorque):
     name: ClassVar[str] = "cable_torque"
 
 
@@ -33,12 +33,9 @@ class LinearCable(_Cable):
     def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
         return np.stack([q_rad[:, self.axis], np.ones(len(q_rad))], axis=1)
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        def named(value: Floats) -> Named:
-            slope, constant = float(value[0]), float(value[1])
-            return {"stiffness_nm_rad": -slope, "neutral_rad": -constant / slope if slope else NAN}
-
-        return propagated(named, theta, covariance)
+    def named(self, theta: Floats) -> Named:
+        slope, constant = theta.tolist()
+        return {"stiffness_nm_rad": -slope, "neutral_rad": -constant / slope if slope else NAN}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +51,8 @@ class CableSlope(_Cable):
         """Return True if the cable torque acts towards the neutral position."""
         return bool(value[0] < 0)
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        return {"stiffness_nm_rad": -float(theta[0])}, {"stiffness_nm_rad": float(np.sqrt(covariance[0, 0]))}
+    def named(self, theta: Floats) -> Named:
+        return {"stiffness_nm_rad": -float(theta[0])}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,24 +67,18 @@ class HarmonicCable(_Cable):
         q = q_rad[:, self.axis]
         return np.stack([np.sin(q), np.cos(q)], axis=1)
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        def named(value: Floats) -> Named:
-            sine, cosine = float(value[0]), float(value[1])
-            return {"stiffness_nm_rad": float(np.hypot(sine, cosine)), "neutral_rad": float(np.arctan2(cosine, -sine))}
+    @property
+    def form(self) -> Named:
+        return {"harmonic": 1.0}
 
-        values, std = propagated(named, theta, covariance)
-        return values | {"harmonic": 1.0}, std
+    def named(self, theta: Floats) -> Named:
+        sine, cosine = theta.tolist()
+        return {"stiffness_nm_rad": float(np.hypot(sine, cosine)), "neutral_rad": float(np.arctan2(cosine, -sine))}
 
 
-def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
+def _on_wrist(rows: Visits | MovingRows, linear: Callable[[int], Term]) -> Iterator[Term]:
     for axis in set(wrist(rows.axes)) & set(measured_axes(rows)):
-        yield LinearCable(axis)
-        yield HarmonicCable(axis)
-
-
-def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    for axis in set(wrist(motion.axes)) & set(moving_axes(motion)):
-        yield CableSlope(axis)
+        yield linear(axis)
         yield HarmonicCable(axis)
 
 
@@ -101,6 +92,6 @@ EFFECT: Final = Effect(
         "harmonic",
     ),
     over=Over.ANGLE,
-    at_rest=_at_rest,
-    in_motion=_in_motion,
+    at_rest=lambda rows, setup: _on_wrist(rows, LinearCable),
+    in_motion=lambda motion, setup: _on_wrist(motion, CableSlope),
 )

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, RestSetup, measured_axes
+from gateway.model.effect import Effect, on_each_axis
 from gateway.model.motion import Modelled, MovingRows, changed_torque
 from gateway.model.rest import AlteredModel
-from gateway.model.term import OnAxis, Term, plus
+from gateway.model.term import OnAxis, plus
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -39,20 +39,12 @@ class JointZeroOffset(OnAxis):
         return changed_torque(motion.by_angle(self.axis), modelled)[:, :, None]
 
 
-def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
-    yield from (JointZeroOffset(axis) for axis in measured_axes(rows))
-
-
-def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    yield from (JointZeroOffset(axis) for axis in range(motion.axes))
-
-
 EFFECT: Final = Effect(
     name="joint_zero_offset",
     words="a shifted joint zero",
     meaning="an encoder zero is wrong",
     parameters=("offset_rad",),
-    at_rest=_at_rest,
-    in_motion=_in_motion,
+    at_rest=on_each_axis(JointZeroOffset),
+    in_motion=lambda motion, setup: map(JointZeroOffset, range(motion.axes)),
     drawn=True,
 )

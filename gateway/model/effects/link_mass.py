@@ -13,7 +13,7 @@ from gateway.model.effect import Effect, MotionSetup, RestSetup
 from gateway.model.motion import PER_BODY, Modelled, MovingRows
 from gateway.model.rest import AlteredModel
 from gateway.model.robot import link_lengths_m
-from gateway.model.term import NAN, Named, OnAxis, Seen, Term, plus, propagated
+from gateway.model.term import NAN, Named, OnAxis, Seen, Term, plus
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -85,12 +85,8 @@ class LinkMass(OnAxis):
         arm = float(np.nansum(seen.motion.robot.mass_kg))
         return bool(0.0 < value[0] < arm and np.linalg.norm(value[1:]) < FARTHEST_M * value[0])
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        values, std = OnAxis.report(self, theta, covariance)
-        moment, spread = propagated(
-            lambda value: {"first_moment_kg_m": float(np.linalg.norm(value[1:]))}, theta, covariance
-        )
-        return values | moment, std | spread
+    def named(self, theta: Floats) -> Named:
+        return OnAxis.named(self, theta) | {"first_moment_kg_m": float(np.linalg.norm(theta[1:]))}
 
 
 def _links(axes: int) -> range:

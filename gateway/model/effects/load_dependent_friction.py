@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
+from gateway.model.effect import Effect, Over, on_each_axis
 from gateway.model.motion import Modelled, MovingRows
 from gateway.model.rest import AlteredModel
-from gateway.model.term import OnAxis, Term, on_axis, plus
+from gateway.model.term import OnAxis, on_axis, plus
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -37,21 +37,13 @@ class LoadDependentFriction(OnAxis):
         return on_axis(np.abs(modelled.rigid_nm[:, self.axis]) * motion.sign[:, self.axis])
 
 
-def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
-    yield from (LoadDependentFriction(axis) for axis in measured_axes(rows))
-
-
-def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    yield from (LoadDependentFriction(axis) for axis in moving_axes(motion))
-
-
 EFFECT: Final = Effect(
     name="load_dependent_friction",
     words="friction that grows with the transmitted torque",
     meaning="gear losses in proportion to the transmitted torque (at rest: the part that remains after settling)",
     parameters=("coefficient",),
     over=Over.TORQUE_BY_DIRECTION,
-    at_rest=_at_rest,
-    in_motion=_in_motion,
+    at_rest=on_each_axis(LoadDependentFriction),
+    in_motion=on_each_axis(LoadDependentFriction),
     friction=True,
 )

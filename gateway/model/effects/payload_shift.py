@@ -9,10 +9,10 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, Over, RestSetup
+from gateway.model.effect import Effect, Over, RestSetup
 from gateway.model.motion import PER_BODY, Modelled, MovingRows
 from gateway.model.rest import AlteredModel
-from gateway.model.term import Named, Term, propagated
+from gateway.model.term import Named, Term
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -53,10 +53,12 @@ class PayloadShift(Term):
             return after
         return after * (time_s - self.time_s) / max(self.until_s - self.time_s, 1e-9)
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        values, std = Term.report(self, theta, covariance)
-        length, spread = propagated(lambda value: {"shift_m": float(np.linalg.norm(value))}, theta, covariance)
-        return length | values | {"time_s": self.time_s}, spread | std
+    @property
+    def form(self) -> Named:
+        return {"time_s": self.time_s}
+
+    def named(self, theta: Floats) -> Named:
+        return {"shift_m": float(np.linalg.norm(theta))} | Term.named(self, theta)
 
 
 def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
@@ -67,11 +69,6 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
         return
     yield from (PayloadShift(float(when)) for when in times[FEWEST_BEFORE:-1])
     yield PayloadShift(float(times[0]), float(times[-1]))
-
-
-def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    """Return a drift over the run."""
-    yield from (PayloadShift(0.0, motion.duration_s, load) for load in setup.loads)
 
 
 EFFECT: Final = Effect(
@@ -87,6 +84,7 @@ EFFECT: Final = Effect(
     ),
     over=Over.TIME,
     at_rest=_at_rest,
-    in_motion=_in_motion,
+    # a drift over the run
+    in_motion=lambda motion, setup: (PayloadShift(0.0, motion.duration_s, load) for load in setup.loads),
     drawn=True,
 )

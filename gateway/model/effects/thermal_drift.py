@@ -9,7 +9,7 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
+from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes
 from gateway.model.motion import Modelled, MovingRows
 from gateway.model.rest import AlteredModel
 from gateway.model.term import Named, OnAxis, Term, on_axis
@@ -56,9 +56,8 @@ class ThermalDrift(OnAxis):
         values = rows.temperature_c[:, self.axis] if self.by == "temperature" else rows.time_s
         return values - values[int(np.argmin(rows.time_s))]
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        key = "per_k" if self.by == "temperature" else "per_s"
-        return {key: float(theta[0])}, {key: float(np.sqrt(covariance[0, 0]))}
+    def named(self, theta: Floats) -> Named:
+        return {"per_k" if self.by == "temperature" else "per_s": float(theta[0])}
 
 
 def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
@@ -69,7 +68,7 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    for axis in moving_axes(motion):
+    for axis in measured_axes(motion):
         if _warmed(motion.temperature_c[:, axis], WARMED_IN_MOTION_K):
             yield ThermalDrift(axis, "temperature", "friction")
         elif motion.duration_s >= LONG_S:

@@ -9,10 +9,10 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
+from gateway.model.effect import Effect, Over, RestSetup, measured_axes, on_each_axis
 from gateway.model.motion import Modelled, MovingRows
 from gateway.model.rest import AlteredModel
-from gateway.model.term import Named, Term, on_axis, propagated
+from gateway.model.term import Named, Term, on_axis
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -44,18 +44,14 @@ class TorqueConstantScale(Term):
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
         return on_axis(modelled.rigid_nm[:, self.axis])
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        return propagated(lambda value: {"scale": 1.0 / (1.0 + float(value[0]))}, theta, covariance)
+    def named(self, theta: Floats) -> Named:
+        return {"scale": 1.0 / (1.0 + float(theta[0]))}
 
 
 def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
-    yield from (TorqueConstantScale(axis) for axis in measured_axes(rows))
+    yield from map(TorqueConstantScale, measured_axes(rows))
     if setup.common_scale:
         yield TorqueConstantScale(None)
-
-
-def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    yield from (TorqueConstantScale(axis) for axis in moving_axes(motion))
 
 
 EFFECT: Final = Effect(
@@ -65,6 +61,6 @@ EFFECT: Final = Effect(
     parameters=("scale",),
     over=Over.TORQUE,
     at_rest=_at_rest,
-    in_motion=_in_motion,
+    in_motion=on_each_axis(TorqueConstantScale),
     drawn=True,
 )

@@ -13,10 +13,9 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
-from gateway.model.motion import MovingRows
+from gateway.model.effect import Effect, Over, RestSetup, measured_axes, on_each_axis
 from gateway.model.rest import AlteredModel
-from gateway.model.term import OnAxis, ReadingTorque, Term, plus
+from gateway.model.term import AngleTorque, OnAxis, Term, plus
 from gateway.model.visits import Visits, column_medians
 
 Floats = NDArray[np.float64]
@@ -26,11 +25,12 @@ LARGEST_SHARE: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class TorqueOffset(ReadingTorque):
+class TorqueOffset(AngleTorque):
     """Constant torque offset, independent of the motion."""
 
     name: ClassVar[str] = "torque_offset"
     takes_over: ClassVar[str] = "bias"
+    in_reading: ClassVar[bool] = True
     parameters: ClassVar[tuple[str, ...]] = ("offset_nm",)
 
     def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
@@ -63,10 +63,6 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
             yield FrictionByDirection(axis, float(bands[axis]))
 
 
-def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    yield from (TorqueOffset(axis) for axis in moving_axes(motion))
-
-
 EFFECT: Final = Effect(
     name="torque_offset",
     words="a constant torque offset",
@@ -74,6 +70,6 @@ EFFECT: Final = Effect(
     parameters=("offset_nm",),
     over=Over.ANGLE,
     at_rest=_at_rest,
-    in_motion=_in_motion,
+    in_motion=on_each_axis(TorqueOffset),
     drawn=True,
 )

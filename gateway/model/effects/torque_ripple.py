@@ -13,9 +13,9 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, RestSetup, measured_axes, moving_axes
+from gateway.model.effect import Effect, MotionSetup, RestSetup, measured_axes
 from gateway.model.motion import MovingRows
-from gateway.model.term import NAN, Named, ReadingTorque, Term, propagated
+from gateway.model.term import NAN, AngleTorque, Named, Term
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -33,13 +33,14 @@ ORDER_STEP_RAD: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class TorqueRipple(ReadingTorque):
+class TorqueRipple(AngleTorque):
     """Ripple `a sin(w q) + b cos(w q)` with `w` periods per turn; `orders` is the number of tested orders."""
 
     per_revolution: float = 100.0
     orders: int = field(default=1, compare=False)
     name: ClassVar[str] = "torque_ripple"
     takes_over: ClassVar[str] = "cogging"
+    in_reading: ClassVar[bool] = True
     parameters: ClassVar[tuple[str, ...]] = ("sine_nm", "cosine_nm")
     linear: ClassVar[tuple[bool, ...]] = (True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN)
@@ -52,13 +53,13 @@ class TorqueRipple(ReadingTorque):
         angle = self.per_revolution * q_rad[:, self.axis]
         return np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        def named(value: Floats) -> Named:
-            sine, cosine = float(value[0]), float(value[1])
-            return {"amplitude_nm": float(np.hypot(sine, cosine)), "phase_rad": float(np.arctan2(cosine, sine))}
+    @property
+    def form(self) -> Named:
+        return {"per_revolution": self.per_revolution}
 
-        values, std = propagated(named, theta, covariance)
-        return values | {"per_revolution": self.per_revolution}, std
+    def named(self, theta: Floats) -> Named:
+        sine, cosine = theta.tolist()
+        return {"amplitude_nm": float(np.hypot(sine, cosine)), "phase_rad": float(np.arctan2(cosine, sine))}
 
 
 def orders_at_rest(q_rad: Floats) -> Floats:
@@ -79,7 +80,7 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
     """Return the strongest ripples of each axis' residual over its own angle, as far as the sampling resolves them."""
-    for axis in moving_axes(motion):
+    for axis in measured_axes(motion):
         rows = motion.judged[:, axis] & ~motion.held_out
         q, rest = motion.q_rad[rows, axis], setup.residual_nm[rows, axis]
         steps = np.abs(np.diff(motion.q_rad[:, axis]))[rows[:-1] & (np.diff(motion.run) == 0)]

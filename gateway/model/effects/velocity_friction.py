@@ -9,7 +9,7 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.effect import Effect, MotionSetup, Over, moving_axes
+from gateway.model.effect import Effect, MotionSetup, Over, measured_axes
 from gateway.model.motion import Modelled, MovingRows
 from gateway.model.term import Named, OnAxis, Seen, Term, on_axis
 
@@ -45,9 +45,9 @@ class Stribeck(_OverSpeed):
         speed = np.abs(motion.qd_rad_s[:, self.axis])
         return on_axis(motion.sign[:, self.axis] * np.exp(-speed / self.decay_rad_s))
 
-    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        values, std = OnAxis.report(self, theta, covariance)
-        return values | {"stribeck_velocity_rad_s": self.decay_rad_s}, std
+    @property
+    def form(self) -> Named:
+        return {"stribeck_velocity_rad_s": self.decay_rad_s}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class SquareFriction(_OverSpeed):
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    for axis in moving_axes(motion):
+    for axis in measured_axes(motion):
         yield from (Stribeck(axis, fraction * float(motion.speed_rad_s[axis])) for fraction in FRACTIONS)
         yield RootFriction(axis)
         yield SquareFriction(axis)

@@ -143,9 +143,8 @@ def test_a_rated_current_is_read_from_a_manufacturer_object(device):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("[6007]", "[5007]", "0x6007"),
         ("[1016]", "[2016]", "0x1016"),
-        ("[60B2]", "[50B2]", "0x60B2"),
+        ("[607A]", "[507A]", "0x607A"),
         ("[1A00]", "[2A00]", "0x1A00"),
     ],
 )
@@ -168,7 +167,7 @@ def test_a_drive_without_csp_is_read_and_not_moved(device, modes, moves):
     section = GENERIC[at:].replace("DefaultValue=", f"DefaultValue={modes}", 1)
     profile = profile_of(device(GENERIC[:at] + section), **TORQUE)
     assert (profile.no_motion == ()) is moves
-    assert moves or "cyclic synchronous position" in profile.no_motion[0]
+    assert moves or "0x225" in profile.no_motion[0]
 
 
 def test_what_the_drive_says_goes_before_its_sheet(device):
@@ -180,8 +179,35 @@ def test_what_the_drive_says_goes_before_its_sheet(device):
     assert "node 3 (firmware 1.2), read from drive" in profile.source
     assert profile.velocity.unit_rad_s.value == pytest.approx(0.10471975511965977)
     assert "read from node 3 = 0x1" in profile.no_motion[0]
-    denied = Device(sheet, identity, {(0x6007, 0): None})
-    assert any("0x6007" in reason for reason in profile_of(denied, **TORQUE).no_motion)
+    denied = Device(sheet, identity, {(0x607A, 0): None})
+    assert any("0x607A" in reason for reason in profile_of(denied, **TORQUE).no_motion)
+
+
+def test_a_drive_without_an_abort_option_or_torque_offset_may_be_moved(device):
+    text = GENERIC.replace("[6007]", "[5007]").replace("[60B2]", "[50B2]")
+    profile = profile_of(device(text), **TORQUE)
+    assert profile.heartbeat.abort_connection is None
+    assert not {0x6007, 0x60B2} & set(profile.write.allow)
+    assert profile.obstacles == ()
+
+
+def test_a_drive_that_states_interpolated_position_alone_is_moved_in_it(device):
+    at = GENERIC.index("[6502]")
+    text = GENERIC[:at] + GENERIC[at:].replace("DefaultValue=", "DefaultValue=0x43", 1)
+    lines = ["[60C1]", "ParameterName=Interpolation data record", "ObjectType=0x8", "SubNumber=2", "[60C1sub0]"]
+    lines += ["ParameterName=Number", "ObjectType=0x7", "DataType=0x0005", "AccessType=ro", "DefaultValue=1"]
+    lines += ["[60C1sub1]", "ParameterName=Setpoint", "ObjectType=0x7", "DataType=0x0004", "AccessType=rw"]
+    with_record = profile_of(device("\n".join([text, *lines, "PDOMapping=1"])), **TORQUE)
+    assert (with_record.state_machine.cyclic_mode, with_record.obstacles) == (7, ())
+    assert "0x60C1" in profile_of(device(text), **TORQUE).no_motion[0]
+
+
+def test_a_drive_with_node_guarding_alone_watches_that(device):
+    text = GENERIC.replace("[1016]", "[2016]").replace("[1016sub", "[2016sub")
+    for index, kind in (("100C", "0x0006"), ("100D", "0x0005")):
+        text += f"\n[{index}]\nParameterName=x\nObjectType=0x7\nDataType={kind}\nAccessType=rw\nPDOMapping=0\n"
+    profile = profile_of(device(text), **TORQUE)
+    assert (profile.heartbeat.watchdog, profile.obstacles) == ("node guarding", ())
 
 
 @pytest.mark.parametrize("code", [0x060A0023, 0x08000020, 0x06060000, 0x06010001, 0x08000000, 0x06020000])

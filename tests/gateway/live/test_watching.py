@@ -165,8 +165,8 @@ def test_constants_that_were_not_received_are_named_once(watching, watched, rig,
 
 
 def test_an_emergency_is_reported_with_its_node(watching, rig, received):
-    received.emergencies.append(Emergency(4, 7, 0x7305, 0x20, b"", "incremental sensor 1", "check the encoder"))
-    received.emergencies.append(Emergency(4, 8, 0x0000, 0x00, b"", "no error", ""))
+    received.emergencies.append(Emergency(4, 7, 0x7305, 0x20, b"", "incremental sensor 1", "check the encoder", False))
+    received.emergencies.append(Emergency(4, 8, 0x0000, 0x00, b"", "no error", "", True))
     watching.turn()
     assert [word.grave for word in words(rig)] == ["fail", "plain"]
     assert not received.emergencies

@@ -253,14 +253,14 @@ def test_following_error_window_against_four_times_the_cells(joint_rad, severity
 
 @pytest.mark.parametrize(
     ("period_s", "pacing", "severity", "percent"),
-    [(0.004, "real", "ok", 62), (0.002, "real", "fail", 124), (0.002, "lockstep", "warn", 124)],
+    [(0.004, "real", "ok", 56), (0.002, "real", "fail", 112), (0.002, "lockstep", "warn", 112)],
 )
 def test_bus_load_of_six_drives_with_two_tpdos_each(period_s, pacing, severity, percent):
-    # SYNC 55 bits, 18 frames of 8 bytes or 6: 6 x (RPDO 8 B 135 + TPDO1 8 B 135 + TPDO2 6 B 115) + 55 = 2365 bits
+    # SYNC 55 bits, 18 frames of 8 bytes or 6: 6 x (RPDO 6 B 115 + TPDO1 8 B 135 + TPDO2 6 B 115) + 55 = 2245 bits
     config = BusConfig(interface="virtual", channel="c", sync_period_s=period_s, pacing=pacing)
     item = judge_bus_load(config, [(node, PROFILE) for node in range(1, 7)])
     assert item.severity == severity
-    bits = 6 * (135 + 135 + 115) + 55
+    bits = 6 * (115 + 135 + 115) + 55
     assert f"planned {100 * bits / (period_s * 1e6):.0f} %" in item.what
     assert abs(100 * bits / (period_s * 1e6) - percent) < 6
     assert bool(item.advice) == (severity != "ok")
@@ -268,11 +268,11 @@ def test_bus_load_of_six_drives_with_two_tpdos_each(period_s, pacing, severity, 
 
 def test_bus_load_counts_a_measuring_device():
     """Six values of 32 bits in three frames of 8 bytes, six status bytes in one of 6: 3 x 135 + 115 bits."""
-    config = BusConfig(interface="virtual", channel="c", sync_period_s=0.004, pacing="real")
+    config = BusConfig(interface="virtual", channel="c", sync_period_s=0.0038, pacing="real")
     device = InstrumentSetup(20, 0x9130, "i32", (1, 2, 3, 4, 5, 6), 1e-6, status_index=0x6150)
     item = judge_bus_load(config, [(node, PROFILE) for node in range(1, 7)], [device])
-    bits = 6 * (135 + 135 + 115) + 55 + 3 * 135 + 115
-    assert f"planned {100 * bits / 4000:.0f} %" in item.what
+    bits = 6 * (115 + 135 + 115) + 55 + 3 * 135 + 115
+    assert f"planned {100 * bits / 3800:.0f} %" in item.what
     assert item.severity == "fail"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gateway.diagnose.rest.bias import friction_by_direction
+from gateway.diagnose.rest.direct_effects import friction_by_direction
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 
 N, VISITS = 6, 8

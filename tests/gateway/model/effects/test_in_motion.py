@@ -30,7 +30,7 @@ from gateway.model.effects.velocity_friction import RootFriction, SquareFriction
 from gateway.model.motion import Modelled, MovingRows, prepare
 from gateway.model.regressor import regressor
 from gateway.model.robot import robot_from_urdf
-from gateway.model.term import Seen, propagated, wrist
+from gateway.model.term import Seen, wrist
 from tests.support.rigs.tables import make_table
 
 URDF = (Path(__file__).parents[4] / "examples" / "small" / "robot.urdf").read_text()
@@ -297,11 +297,11 @@ def test_a_factor_of_the_root_of_two_is_a_mistake_where_it_is_known_well():
 def test_standard_deviations_are_passed_on_to_first_order():
     rng = np.random.default_rng(1)
     theta, covariance = np.array([2.0, -3.0]), np.array([[0.04, 0.01], [0.01, 0.09]])
-    values, std = propagated(lambda x: {"size": float(np.hypot(*x)), "first": float(x[0])}, theta, covariance)
-    drawn = rng.multivariate_normal(theta, covariance, 200_000)
-    assert values == {"size": pytest.approx(np.hypot(2.0, 3.0)), "first": 2.0}
-    assert std["size"] == pytest.approx(np.hypot(*drawn.T).std(), rel=0.02)
-    assert std["first"] == pytest.approx(0.2)
+    values, std = TorqueRipple(1, 105.0).report(theta, covariance)
+    sine, cosine = rng.multivariate_normal(theta, covariance, 200_000).T
+    assert values["amplitude_nm"] == pytest.approx(np.hypot(2.0, 3.0))
+    assert std["amplitude_nm"] == pytest.approx(np.hypot(sine, cosine).std(), rel=0.02)
+    assert TorqueOffset(1).report(theta[:1], covariance[:1, :1])[1] == {"offset_nm": pytest.approx(0.2)}
 
 
 def test_the_library_says_what_each_effect_is():

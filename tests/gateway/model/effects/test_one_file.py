@@ -24,11 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.model.effect import Effect, Over
-from gateway.model.term import PassiveTorque
+from gateway.model.term import AngleTorque
 
 
 @dataclass(frozen=True, slots=True)
-class CamRope(PassiveTorque):
+class CamRope(AngleTorque):
     name = "cam_rope"
     parameters = ("pull_nm",)
     bounds = {"pull_nm": (0.0, 1e4)}
