@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import json
 import re
 import sys
 import types
@@ -184,6 +185,7 @@ def _address(entry: Any) -> str:
 
 
 def _drives() -> str:
+    simulated = json.loads((Path(__file__).parent / "makes.json").read_text(encoding="utf-8"))
     rows = (
         (
             f"`{each.name}`",
@@ -193,10 +195,13 @@ def _drives() -> str:
             ", ".join(_assumed(each.model_dump(exclude_none=True))),
             "both" if each.heartbeat.producer_ms else "of the master",
             "no" if each.obstacles else "yes",
+            simulated.get(each.name, ""),
         )
         for each in map(load_profile, list_profiles())
     )
-    return table("| profile | drive | torque | source | not verified | heartbeat watched | moved |", rows)
+    return table(
+        "| profile | drive | torque | source | not verified | heartbeat watched | moved | simulated make |", rows
+    )
 
 
 def _assumed(values: dict[str, Any], above: str = "") -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Container, Iterator, Sequence
 from dataclasses import asdict, replace
 from typing import Final, NoReturn
 
@@ -24,7 +24,7 @@ from drives.errors import (
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import KnownDevice, LedgerEntry, WriteLedger, Writer
 from drives.objects import OBJECTS, ObjectEntry, object_name
-from drives.pdo import EVERY_SYNC, PdoPlan, Step, differences, is_received, mapping_steps, restore_steps
+from drives.pdo import PdoPlan, Step, differences, is_received, mapping_steps, restore_steps
 from drives.profile import DriveProfile, ObjectReference
 from drives.sdo import NORMAL, SLOW, SdoClient, Transfer
 
@@ -92,8 +92,20 @@ class NodeAccess:
         except (SdoAbort, SdoProtocolError):
             return None
 
-    def write(self, entry: Entry, value: int, reason: str, options: Transfer = NORMAL) -> None:
+    def write(
+        self, entry: Entry, value: int, reason: str, options: Transfer = NORMAL, rounded: Container[int] = ()
+    ) -> None:
         """Write an object and read it back; nothing is written if it holds the value already.
+
+        Parameters
+        ----------
+        entry : object
+        value : int
+        reason : str
+            Why it is written, for the ledger.
+        options : Transfer
+        rounded : container of int
+            Values beside `value` that may be read back from a drive that rounds.
 
         Raises
         ------
@@ -109,7 +121,7 @@ class NodeAccess:
             return
         step = Step(entry.index, entry.subindex, entry.type, value, reason)
         self._ledger.note(self._entry(step, now))
-        self.write_step(step, options)
+        self.write_step(step, options, rounded)
 
     def note_steps(self, steps: Sequence[Step], writer: Writer = "run") -> dict[Address, tuple[str, int]]:
         """Record writes in the ledger, all of them before the first one is sent.
@@ -124,8 +136,10 @@ class NodeAccess:
         self._ledger.note(*entries)
         return held
 
-    def write_step(self, step: Step, options: Transfer = NORMAL) -> None:
+    def write_step(self, step: Step, options: Transfer = NORMAL, rounded: Container[int] = ()) -> None:
         """Write a parameter that is recorded in the ledger, even without permission of the profile; read it back.
+
+        What is read back is its value, or one of `rounded`.
 
         Raises
         ------
@@ -137,7 +151,7 @@ class NodeAccess:
         self._send(step)
         back = self.sdo.read(*step.address, step.data_type, options)
         self._ledger.confirm(self.device, {step.address: back})
-        if back != step.value:
+        if back != step.value and back not in rounded:
             what = f"{step.value:#x} was written, but {back:#x} is read back"
             self.refuse(step, what, "the drive limits or ignores this value")
         self._configured[step.address] = (step.data_type, back)
@@ -322,8 +336,9 @@ class NodeAccess:
     def map_pdo(self, plan: PdoPlan) -> None:
         """Write a PDO configuration and read it back; nothing is written if it is already correct.
 
-        Identifier and type may be read-only: what counts is what is read back. Its inhibit time is never written: it
-        has no meaning for a synchronous PDO (CiA 301, 7.5.2.37), and many drives refuse to change it while it exists.
+        Identifier and type may be read-only: what counts is what is read back. Only a write shows whether the type 254
+        or 255 of an RPDO is fixed: it is tried at each bring-up. The inhibit time of a TPDO is never written: it has no
+        meaning for a synchronous PDO (CiA 301, 7.5.2.37), and many drives refuse to change it while it exists.
 
         Raises
         ------
@@ -332,8 +347,7 @@ class NodeAccess:
         SdoError
             A transfer failed.
         """
-        fixed = is_received(plan) and self.sdo.read(plan.communication, 2, "u8") != EVERY_SYNC
-        if fixed or differences(plan, self.sdo.read):
+        if differences(plan, self.sdo.read, accepts_at_once=False):
             cob_id = self.sdo.read(plan.communication, 1, "u32")
             steps = mapping_steps(plan, cob_id)
             for step in steps:

@@ -13,11 +13,12 @@ from contextlib import suppress
 from typing import Final, NoReturn
 
 from drives import drive_limits, other_pdos
+from drives.abort import ABSENT
 from drives.access import NodeAccess, ObjectAccess
 from drives.bus import EMCY_BASE
 from drives.bus_spec import NETWORKS
 from drives.busload import load_percent
-from drives.cia402 import AT_REST, Mode, decode_state, describe
+from drives.cia402 import AT_REST, FOLLOWING, Mode, decode_state, describe
 from drives.discovery import FREE_S, count_answers, is_simulator, nmt_states, read_identity, refuse_foreign, require_one
 from drives.drive import POLL_S, Cia402Drive
 from drives.errors import (
@@ -28,12 +29,12 @@ from drives.errors import (
     SdoAbort,
     raise_failures,
 )
-from drives.heartbeat import NmtCommand, send_nmt
+from drives.heartbeat import NmtCommand, rounded_time, send_nmt
 from drives.instrument import Instrument
 from drives.ledger import KnownDevice, without_shared_serials
 from drives.nodes import Node, Nodes
 from drives.objects import OBJECTS, RPDO_MAPPING
-from drives.pdo import TORQUE_OFFSET, VELOCITY_OFFSET, Step
+from drives.pdo import OFFSETS, Step
 from drives.scaling import read_constants
 
 _SYNC_PRODUCER: Final = 1 << 30
@@ -223,8 +224,8 @@ def leave_operational(node: Node, _period_s: float) -> None:
 def clear_offsets(drive: Cia402Drive, _period_s: float) -> None:
     """Write 0 to the velocity and torque offsets (0x60B1, 0x60B2) where this run or an earlier master uses them."""
     access, setup = drive.access, drive.setup
-    for entry, is_used in ((VELOCITY_OFFSET, setup.feedforward), (TORQUE_OFFSET, setup.uses_torque_offset)):
-        if is_used or access.is_in_ledger(entry.index, RPDO_MAPPING + 1) or access.read_readable(entry):
+    for name, entry in OFFSETS.items():
+        if name in setup.offsets or access.is_in_ledger(entry.index, RPDO_MAPPING + 1) or access.read_readable(entry):
             access.write(entry, 0, "clear the offset of an earlier run")
 
 
@@ -287,7 +288,13 @@ def set_mode(drive: Cia402Drive, _period_s: float) -> None:
     access, mode, kind = drive.access, drive.mode, OBJECTS["interpolation_kind"]
     if mode is Mode.INTERPOLATED_POSITION and access.read_readable(kind):
         access.write(kind, 0, "linear interpolation")
-    access.write(OBJECTS["mode"], mode.value, f"mode {mode}")
+    try:
+        access.write(OBJECTS["mode"], mode.value, f"mode {mode}")
+    except SdoAbort as abort:
+        if abort.code not in ABSENT:
+            others = " or ".join(f"cyclic_mode = {each.value}" for each in FOLLOWING if each is not mode)
+            abort.advice = f"enable mode {mode.value} in the drive, or set {others} in [state_machine] of its profile"
+        raise
     machine = access.profile.state_machine
     if not machine.mode_before_enable:
         return
@@ -302,7 +309,9 @@ def refuse_mode(access: ObjectAccess, mode: Mode, shown: int | None) -> NoReturn
     """Refuse a drive whose 0x6061 shows another mode, or None where it did not answer."""
     advice = "the drive does not support this mode in its present setting: see 0x6502"
     if shown == 0 and access.profile.state_machine.mode_before_enable:
-        advice += "; if it shows 0 until it is enabled, set mode_before_enable = false in the profile"
+        advice += (
+            "; if it shows 0 until it is enabled, set mode_before_enable = false in [state_machine] of its profile"
+        )
     what = (
         f"shows mode {shown} instead of {mode.value}" if shown is not None else f"cannot be read; {mode.value} was set"
     )
@@ -397,7 +406,8 @@ def set_heartbeat(drive: Cia402Drive, _period_s: float) -> None:
     """
     heartbeat, entry = drive.setup.profile.heartbeat, OBJECTS["producer_heartbeat"]
     if heartbeat.producer_ms is not None:
-        drive.access.write(entry, heartbeat.producer_ms, "heartbeat of the drive")
+        rounded = rounded_time(heartbeat.producer_ms, heartbeat.producer_ms)
+        drive.access.write(entry, heartbeat.producer_ms, "heartbeat of the drive", rounded=rounded)
     elif heartbeat.watchdog == "node guarding" and drive.access.read_readable(entry):
         drive.access.write(entry, 0, "node guarding instead of a heartbeat")
 

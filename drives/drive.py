@@ -16,7 +16,7 @@ from drives.errors import (
     DriveFault,
     IdentityMismatch,
 )
-from drives.heartbeat import SIGNS_IN_TIME
+from drives.heartbeat import SIGNS_IN_TIME, rounded_time
 from drives.ledger import WriteLedger
 from drives.objects import OBJECTS
 from drives.other_pdos import OtherPdo
@@ -61,7 +61,7 @@ class Cia402Drive:
         self._bus = bus
         self._scale: MotorScale | None = None
         #: PDO configurations of the cyclic exchange: what is sent, and what is answered.
-        self.commands = rpdo_plans(setup.profile, self.node_id, setup.feedforward, setup.uses_torque_offset)
+        self.commands = rpdo_plans(setup.profile, self.node_id, setup.offsets)
         #: In which it takes the setpoints.
         self.mode = Mode(setup.profile.state_machine.cyclic_mode)
         self._tpdos, _ = tpdo_plans(setup.profile, self.node_id)
@@ -109,7 +109,8 @@ class Cia402Drive:
         IdentityMismatch
             Vendor, product, firmware or device type differ; one error lists all differences.
         """
-        problems = self.identity.mismatches(self.setup.profile)
+        mismatches = self.identity.mismatches(self.setup.profile)
+        problems = [*mismatches.values()]
         if self.identity.device_type is not None and not self.identity.is_drive:
             problems.append(f"device type {self.identity.device_type:#010x} is not a CiA 402 drive")
         if problems:
@@ -117,7 +118,7 @@ class Cia402Drive:
                 f"{'; '.join(problems)} (profile {self.setup.profile.name})",
                 node=self.node_id,
                 index=0x1018,
-                subindex=1,
+                subindex=next(iter(mismatches), 1),
                 advice="check wiring and node ids, or choose the profile of this drive and firmware",
             )
 
@@ -147,10 +148,11 @@ class Cia402Drive:
         """Make the drive watch the master, from its first heartbeat (0x1016) or node guarding request (0x100C) on."""
         reason, heartbeat = "the drive stops when the master is lost", self.setup.profile.heartbeat
         if heartbeat.watchdog == "heartbeat":
-            value = master_node_id << 16 | heartbeat.consumer_ms
-            self.access.write(OBJECTS["consumer_heartbeat"], value, reason)
+            entry, value = OBJECTS["consumer_heartbeat"], master_node_id << 16 | heartbeat.consumer_ms
+            self.access.write(entry, value, reason, rounded=rounded_time(value, heartbeat.consumer_ms))
         else:
-            self.access.write(OBJECTS["guard_time"], heartbeat.consumer_ms // SIGNS_IN_TIME, reason)
+            entry, value = OBJECTS["guard_time"], heartbeat.consumer_ms // SIGNS_IN_TIME
+            self.access.write(entry, value, reason, rounded=rounded_time(value, value))
             self.access.write(OBJECTS["life_time_factor"], SIGNS_IN_TIME, reason)
 
     def disarm(self) -> None:
@@ -240,7 +242,7 @@ class Cia402Drive:
         if not -self._max_step_count <= step <= self._max_step_count:
             what = f"target requires {abs(step) * scale.count_rad / self.sync_period_s:.1f} rad/s"
             advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
-            raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
+            raise CommandRefused(what, node=self.node_id, index=self.setup.profile.target_position.index, advice=advice)
         self._staged = (count, velocity, offset)
 
     def _not_further_out(self, count: int) -> int:
@@ -260,11 +262,11 @@ class Cia402Drive:
             return before
         what = f"target {count} counts is outside {lowest} .. {highest}"
         advice = "stay inside the limits of the axis; from outside it moves only inwards"
-        raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
+        raise CommandRefused(what, node=self.node_id, index=self.setup.profile.target_position.index, advice=advice)
 
     def _velocity(self, velocity_rad_s: float) -> int:
         unit = self.scale.velocity_rad_s
-        if not self.setup.feedforward or unit is None:
+        if "velocity" not in self.setup.offsets or unit is None:
             advice = "set the drive up with feedforward"
             raise CommandRefused(
                 "is not configured for a velocity offset", node=self.node_id, index=0x60B1, advice=advice
@@ -277,7 +279,7 @@ class Cia402Drive:
 
     def _torque(self, torque_nm: float) -> int:
         unit = self.scale.offset_nm
-        if not self.setup.uses_torque_offset or unit is None:
+        if "torque" not in self.setup.offsets or unit is None:
             advice = "set the drive up with a torque offset, and state the scaling of 0x60B2 in its profile"
             raise CommandRefused(
                 "is not configured for a torque offset", node=self.node_id, index=0x60B2, advice=advice
@@ -306,7 +308,7 @@ class Cia402Drive:
         count, velocity, torque = self._staged
         self.target_count = count
         COMMAND.pack_into(self.frames[0].data, 0, controlword, count)
-        if self.setup.uses_torque_offset:
+        if "torque" in self.setup.offsets:
             TORQUE.pack_into(self.frames[0].data, COMMAND.size, torque)
-        if self.setup.feedforward:
+        if "velocity" in self.setup.offsets:
             VELOCITY.pack_into(self.frames[1].data, 0, velocity)

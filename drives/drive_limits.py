@@ -14,6 +14,8 @@ from drives.scaling import Constants
 #: Distance of the drive's own position limits outside those of the master, in motor revolutions: a stop that begins at
 #: the master's limit ends before the drive's. Behind a gear of 100 it is 0.03 rad of the joint.
 LIMIT_MARGIN_REVOLUTIONS: Final = 0.5
+#: Reciprocal of the share by which a drive may round the limit up.
+ROUNDED: Final = 10
 _I32_MAX: Final = 0x7FFFFFFF
 #: 0x607E: the sign of positions is turned round in the drive.
 _POSITION_REVERSED: Final = 0x80
@@ -72,7 +74,7 @@ def write_position_limits(access: ObjectAccess, limit: Counts, revolution_counts
     reason = "position limits of the axis, and a margin"
     steps = [(low, new[0]), (high, new[1])]
     for entry, value in reversed(steps) if new[0] >= held[1] else steps:
-        access.write(entry, value, reason)
+        access.write(entry, value, reason, rounded=range(value - margin, value + margin + 1))
     return True
 
 
@@ -98,7 +100,7 @@ def limit_torque(access: ObjectAccess, permille: int | None) -> bool:
     Returns
     -------
     bool
-        Whether the drive holds a limit of `permille` now.
+        Whether the drive holds a limit of `permille` now, rounded up by a tenth at most.
 
     Raises
     ------
@@ -120,7 +122,8 @@ def limit_torque(access: ObjectAccess, permille: int | None) -> bool:
     original = access.original(entry, held)
     limit = original if permille is None or permille <= 0 else min(permille, original)
     if permille is not None or limit != held:
-        access.write(entry, limit, "lowest torque that the motion needs")
+        rounded = range(limit, min(original, limit + limit // ROUNDED) + 1)
+        access.write(entry, limit, "lowest torque that the motion needs", rounded=rounded)
     return limit == permille
 
 

@@ -149,4 +149,4 @@ class EmcyLog:
     def last_clause(self, node_id: int) -> str:
         """Return the newest message of a node that is not harmless, as a clause that ends an error message."""
         last = self.last(node_id)
-        return "" if last is None else f"; last emergency: {last.text}{f' ({last.advice})' if last.advice else ''}"
+        return "" if last is None else f"; last emergency: {last.what}{f' ({last.advice})' if last.advice else ''}"

@@ -44,6 +44,11 @@ class NmtState(IntEnum):
 _STATES: Final = {int(state): state for state in NmtState}
 
 
+def rounded_time(value: int, time_ms: int) -> range:
+    """Return the values of an object with a time [ms] in its low word that a drive may read back: a tenth off."""
+    return range(value - time_ms // 10, min(value + time_ms // 10, value | 0xFFFF) + 1)
+
+
 def send_nmt(bus: Bus, command: NmtCommand, node_id: int) -> None:
     """Send an NMT command to one node; raises `ForeignMaster` as `Bus.check_free`."""
     bus.check_free()

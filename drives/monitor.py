@@ -247,7 +247,12 @@ class Monitor:
         sent = self.emcy.messages[-new:] if new else ()
         first = {each.node_id: each for each in reversed(sent) if not each.is_harmless}
         for node, each in sorted(first.items()):
-            yield 1, rule.raised(f"sent an emergency: {each.what}", node=node, code=each.code)
+            more = ""
+            if each.code and each.register is not None and not each.register & 1:  # CiA 301: no error is present
+                more = (
+                    f'if the manual calls it a warning, answer `profiles new` with warning_codes = "0x{each.code:04X}"'
+                )
+            yield 1, rule.raised(f"sent an emergency: {each.what}", node=node, code=each.code, more=more)
 
     def _status_bits(self, rule: Rule) -> Counts:
         """Count SYNCs in a row with these bits unexpected; the error names all that are."""

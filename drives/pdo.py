@@ -2,7 +2,7 @@
 
 RPDO1 = controlword, target position and, in a run that uses it, torque offset. TPDO1 = statusword, position and, if it
 fits, the torque object. TPDO2, where it is needed = the torque object if it did not fit, velocity, current. RPDO2, only
-in a run with feedforward = velocity offset. All synchronous, every SYNC; an RPDO whose type is fixed at 254 or 255 acts
+in a run that uses it = velocity offset. All synchronous, every SYNC; an RPDO whose type is fixed at 254 or 255 acts
 when it comes, just before the SYNC.
 """
 
@@ -35,13 +35,13 @@ Role = Literal["statusword", "position", "torque", "velocity", "current"]
 
 CONTROLWORD: Final = ObjectReference(index=0x6040, type="u16")
 STATUSWORD: Final = ObjectReference(index=0x6041, type="u16")
-#: Target position by mode of operation: 7 interpolated position, 8 cyclic synchronous position.
-TARGET_POSITION: Final = {
-    7: ObjectReference(index=0x60C1, subindex=1, type="i32"),
-    8: ObjectReference(index=0x607A, type="i32"),
+#: Names of the offsets that a run adds to the target position.
+Offsets = tuple[Literal["velocity", "torque"], ...]
+#: Their objects.
+OFFSETS: Final[dict[str, ObjectReference]] = {
+    "velocity": ObjectReference(index=0x60B1, type="i32"),
+    "torque": ObjectReference(index=0x60B2, type="i16"),
 }
-TORQUE_OFFSET: Final = ObjectReference(index=0x60B2, type="i16")
-VELOCITY_OFFSET: Final = ObjectReference(index=0x60B1, type="i32")
 
 #: What the master sends: controlword, target position (counts).
 COMMAND: Final = struct.Struct("<Hi")
@@ -102,15 +102,13 @@ class Step:
         return self.index, self.subindex
 
 
-def rpdo_plans(
-    profile: DriveProfile, node_id: int, feedforward: bool = False, torque_offset: bool = False
-) -> tuple[PdoPlan, ...]:
-    """Return the RPDO configurations of a node, RPDO1 first; RPDO2 only in a run with feedforward."""
-    setpoint = (CONTROLWORD, TARGET_POSITION[profile.state_machine.cyclic_mode])
-    entries = (*setpoint, TORQUE_OFFSET) if torque_offset else setpoint
+def rpdo_plans(profile: DriveProfile, node_id: int, offsets: Offsets = ()) -> tuple[PdoPlan, ...]:
+    """Return the RPDO configurations of a node in a run with these offsets, RPDO1 first."""
+    setpoint = (CONTROLWORD, profile.target_position)
+    entries = (*setpoint, OFFSETS["torque"]) if "torque" in offsets else setpoint
     first = PdoPlan("RPDO1", RPDO_COMMUNICATION, RPDO_MAPPING, 0x200 + node_id, entries)
-    second = PdoPlan("RPDO2", RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x300 + node_id, (VELOCITY_OFFSET,))
-    return (first, second) if feedforward else (first,)
+    second = PdoPlan("RPDO2", RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x300 + node_id, (OFFSETS["velocity"],))
+    return (first, second) if "velocity" in offsets else (first,)
 
 
 def tpdo_plan(number: int, node_id: int, entries: Sequence[ObjectReference]) -> PdoPlan:
@@ -156,8 +154,16 @@ def _bits(frame: list[tuple[Role, ObjectReference]]) -> int:
     return sum(entry.size_bits for _, entry in frame)
 
 
-def differences(plan: PdoPlan, read: Read) -> list[str]:
-    """Return the differences between drive and plan as text; empty = nothing has to be written."""
+def differences(plan: PdoPlan, read: Read, *, accepts_at_once: bool = True) -> list[str]:
+    """Return the differences between drive and plan as text.
+
+    Parameters
+    ----------
+    plan : PdoPlan
+    read : callable
+    accepts_at_once : bool
+        Accept an RPDO that acts when it comes: a drive may have no other type.
+    """
     found = []
     cob_id = read(plan.communication, 1, "u32")
     if cob_id & INVALID:
@@ -165,7 +171,7 @@ def differences(plan: PdoPlan, read: Read) -> list[str]:
     if cob_id & 0x1FFFFFFF != plan.cob_id:
         found.append(f"has COB-ID {cob_id & 0x1FFFFFFF:#x} instead of {plan.cob_id:#x}")
     transmission = read(plan.communication, 2, "u8")
-    if transmission != EVERY_SYNC and not (is_received(plan) and transmission in _AT_ONCE):
+    if transmission != EVERY_SYNC and not (accepts_at_once and is_received(plan) and transmission in _AT_ONCE):
         found.append(f"has transmission type {transmission} instead of {EVERY_SYNC}")
     count = read(plan.mapping, 0, "u8")
     if count != len(plan.entries):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -29,9 +29,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 #: Objects that no profile may allow: storing and restoring parameters is never the master's business.
 _FORBIDDEN_WRITES = {0x1010: "storing parameters", 0x1011: "restoring factory parameters"}
-#: Objects that the master writes on every drive, and that of the setpoint by mode.
+#: Objects that the master writes on every drive.
 _NEEDED = {RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION, TPDO_MAPPING, 0x6040, 0x6060}
-_SETPOINT = {7: 0x60C1, 8: 0x607A}
 _WATCHDOG = {"heartbeat": ("consumer_heartbeat",), "node guarding": ("guard_time", "life_time_factor")}
 #: Modes of operation (0x6060) in which the master streams setpoints.
 CyclicMode = Literal[7, 8]
@@ -47,7 +46,7 @@ def loss_objects(watchdog: Watchdog, *, has_option: bool) -> tuple[str, ...]:
 def needed_writes(mode: CyclicMode, watchdog: Watchdog, *, has_option: bool) -> tuple[int, ...]:
     """Return the objects that the master writes on every drive of this mode and watchdog, in ascending order."""
     lost = {OBJECTS[name].index for name in loss_objects(watchdog, has_option=has_option)}
-    return tuple(sorted(_NEEDED | {_SETPOINT[mode]} | lost))
+    return tuple(sorted(_NEEDED | {_TARGET_POSITION[mode].index} | lost))
 
 
 def is_assumed(source: str) -> bool:
@@ -78,6 +77,13 @@ class ObjectReference(Strict):
     def mapping(self) -> int:
         """Value of a PDO mapping entry: index, subindex, length (CiA 301, 7.5.2.36)."""
         return self.index << 16 | self.subindex << 8 | self.size_bits
+
+
+#: Target position by mode of operation: 7 interpolated position, 8 cyclic synchronous position.
+_TARGET_POSITION: Final[dict[CyclicMode, ObjectReference]] = {
+    7: ObjectReference(index=0x60C1, subindex=1, type="i32"),
+    8: ObjectReference(index=0x607A, type="i32"),
+}
 
 
 class ExpectedIdentity(Strict):
@@ -459,6 +465,11 @@ class DriveProfile(Strict):
         """Return the objects that the master writes on every drive of this profile."""
         has_option = self.heartbeat.abort_connection is not None
         return needed_writes(self.state_machine.cyclic_mode, self.heartbeat.watchdog, has_option=has_option)
+
+    @property
+    def target_position(self) -> ObjectReference:
+        """Return the object that takes the target position of each SYNC."""
+        return _TARGET_POSITION[self.state_machine.cyclic_mode]
 
     @property
     def loss_objects(self) -> tuple[str, ...]:

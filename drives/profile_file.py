@@ -10,7 +10,7 @@ from drives.datasheet.building import read_sheet
 from drives.datasheet.sheet import Sheet
 from drives.errors import ProfileError
 from drives.objects import OBJECTS
-from drives.pdo import TARGET_POSITION, TORQUE_OFFSET, VELOCITY_OFFSET
+from drives.pdo import OFFSETS
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference, Rated
 from drives.toml_lines import KeyPath
 from drives.validation import Unfit, read_strict
@@ -63,7 +63,7 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
             ObjectReference.model_validate({"index": entry.index, "subindex": entry.subindex, "type": entry.type}),
             is_mapped,
         )
-    yield TARGET_POSITION[profile.state_machine.cyclic_mode], True
+    yield profile.target_position, True
     yield profile.position.object, True
     for condition in (*profile.safety, *(() if profile.reference is None else (profile.reference,))):
         yield condition.object, False
@@ -76,8 +76,7 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
     if profile.velocity is not None:
         yield profile.velocity.object, profile.current is not None
     if profile.feedforward is not None:
-        yield VELOCITY_OFFSET, True
-        yield TORQUE_OFFSET, True
+        yield from ((offset, True) for offset in OFFSETS.values())
     if profile.temperature is not None:
         yield profile.temperature.object, False
     counts = profile.position.counts_per_revolution

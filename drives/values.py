@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from drives.errors import ProfileError
+from drives.pdo import OFFSETS, Offsets
 from drives.profile import DriveProfile
 
 
@@ -28,10 +29,8 @@ class AxisSetup:
         Lowest and highest target that may be commanded, motor side; an axis outside may only move inwards.
     torque_limit_nm : float, optional
         Lowest torque limit that may be set in the drive (0x6072), motor side; None = the drive's own is unchanged.
-    feedforward : bool
-        The second RPDO with the velocity offset is mapped and sent, and the torque offset in the first one.
-    torque_offset : bool
-        The torque offset is mapped and sent without a velocity offset.
+    offsets : tuple of str
+        Offsets that are mapped and sent at each SYNC: "velocity" (0x60B1), "torque" (0x60B2).
 
     Raises
     ------
@@ -44,14 +43,8 @@ class AxisSetup:
     torque_constant_nm_per_a: float
     max_motor_speed_rad_s: float
     position_limit_rad: tuple[float, float] | None = None
-    feedforward: bool = False
-    torque_offset: bool = False
+    offsets: Offsets = ()
     torque_limit_nm: float | None = None
-
-    @property
-    def uses_torque_offset(self) -> bool:
-        """Return whether 0x60B2 is sent at each SYNC."""
-        return self.feedforward or self.torque_offset
 
     def __post_init__(self) -> None:
         if not 1 <= self.node_id <= 127:
@@ -65,9 +58,14 @@ class AxisSetup:
         if limit is not None and not (-math.inf < limit[0] < limit[1] < math.inf):
             what = f"position limits {limit} rad are not in order"
             raise ProfileError(what, node=self.node_id, advice="correct the cell file")
-        if self.feedforward and self.profile.feedforward is None:
+        if "velocity" in self.offsets and self.profile.feedforward is None:
             what = f"profile {self.profile.name} has no [feedforward]: the drive takes no velocity offset 0x60B1"
             raise ProfileError(what, node=self.node_id, advice="follow the path without feedforward on this drive")
+        for name in self.offsets:
+            if OFFSETS[name].index not in self.profile.write.allow:
+                what = f"profile {self.profile.name} does not allow the {name} offset 0x{OFFSETS[name].index:04X}"
+                advice = "add it to write.allow if the drive has the object; without it this command cannot run"
+                raise ProfileError(what, node=self.node_id, index=OFFSETS[name].index, advice=advice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,23 +147,23 @@ class Identity:
         """Return whether the device type is CiA 402."""
         return self.device_type is not None and self.device_type & 0xFFFF == 0x0192
 
-    def mismatches(self, profile: DriveProfile) -> list[str]:
-        """Return the mismatches with the profile's identity as text."""
+    def mismatches(self, profile: DriveProfile) -> dict[int, str]:
+        """Return the mismatches with the profile's identity as text, by subindex of 0x1018."""
         wanted = profile.identity
-        found = []
-        for name, want, have in (
-            ("vendor id", wanted.vendor_id, self.vendor_id),
-            ("product code", wanted.product_code, self.product_code),
+        found = dict[int, str]()
+        for subindex, name, want, have in (
+            (1, "vendor id", wanted.vendor_id, self.vendor_id),
+            (2, "product code", wanted.product_code, self.product_code),
         ):
             if want is not None and want != have:
-                found.append(f"{name} is {_hex(have)} instead of {_hex(want)}")
+                found[subindex] = f"{name} is {_hex(have)} instead of {_hex(want)}"
         low, high = wanted.revision_min, wanted.revision_max
         if (low is not None or high is not None) and self.revision is None:
-            found.append("revision is not given by the drive")
+            found[3] = "revision is not given by the drive"
         elif low is not None and self.revision is not None and self.revision < low:
-            found.append(f"revision {_hex(self.revision)} is below {_hex(low)}")
+            found[3] = f"revision {_hex(self.revision)} is below {_hex(low)}"
         elif high is not None and self.revision is not None and self.revision > high:
-            found.append(f"revision {_hex(self.revision)} is above {_hex(high)}")
+            found[3] = f"revision {_hex(self.revision)} is above {_hex(high)}"
         return found
 
 

@@ -55,6 +55,9 @@ class DriveUnits:
     ramp_bits: float | None = None
 
 
+#: Speed of a drive that counts in increments per second.
+_INCREMENTS_PER_S = Word((0x606C, 0), "i32", RESOLUTION / math.tau)
+
 Make = Callable[[AxisSpec, DriveUnits], DriveUnits]
 
 
@@ -84,22 +87,24 @@ def epos4(axis: AxisSpec, units: DriveUnits) -> DriveUnits:
 
 
 def elmo(axis: AxisSpec, units: DriveUnits) -> DriveUnits:
-    """Elmo: the word is per mille of the current 0x6075 [mA]; 0x6076 [mNm] is the torque at that current."""
+    """Elmo: per mille of the current 0x6075 [mA]; 0x6076 [mNm] is the torque at it; velocity in increments/s."""
     rated_ma = round(1000.0 * units.rated_current_a)
     torque_mnm = round(rated_ma * axis.torque_constant_nm_per_a)
     ampere = Word((0x6077, 0), "i16", 1000.0 / (rated_ma * 1e-3 * axis.torque_constant_nm_per_a))
     constants = {**units.constants, (0x6075, 0): ("u32", rated_ma), (0x6076, 0): ("u32", torque_mnm)}
-    return replace(units, torque=ampere, offset_nm_per_bit=1.0 / ampere.bits_per_unit, constants=constants)
+    nm_per_bit = 1.0 / ampere.bits_per_unit
+    return replace(units, torque=ampere, velocity=_INCREMENTS_PER_S, offset_nm_per_bit=nm_per_bit, constants=constants)
 
 
 def emcl(axis: AxisSpec, units: DriveUnits) -> DriveUnits:
-    """Novanta EMCL: torque per mille of 0x6076 [mNm]; current per mille of 0x6075, which is a peak value in mA."""
+    """Novanta EMCL: torque per mille of 0x6076 [mNm], current of 0x6075 [mA, peak]; velocity in increments/s."""
     rated_rms_a = units.rated_torque_nm / axis.torque_constant_nm_per_a
     peak_ma = round(1000.0 * rated_rms_a * math.sqrt(2.0))
     rated = _permille_of_torque(units, round(1000.0 * units.rated_torque_nm), 1e-3)
     peak_ma_per_nm = 1000.0 * math.sqrt(2.0) / axis.torque_constant_nm_per_a
     current = Word((0x6078, 0), "i16", 1000.0 * peak_ma_per_nm / peak_ma)
-    return replace(rated, current=current, constants={**rated.constants, (0x6075, 0): ("u32", peak_ma)})
+    constants = {**rated.constants, (0x6075, 0): ("u32", peak_ma)}
+    return replace(rated, current=current, velocity=_INCREMENTS_PER_S, constants=constants)
 
 
 def kinco_fd123(axis: AxisSpec, units: DriveUnits) -> DriveUnits:
@@ -162,6 +167,13 @@ RPDOS = range(0x1400, 0x1404)
 _NO_REACTION_CODE = (_value(0x6007, 0, 3), *_absent(0x6007))
 _PERIOD_TO_20_MS = Fault("object_range", index=0x60C2, subindex=1, low=1, high=20)
 _INDEX_FIXED = Fault("object_range", index=0x60C2, subindex=2, low=-3, high=-3)
+
+_SCHUNK = (
+    *_NO_REACTION_CODE,
+    *_absent(0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6076),
+    Fault("modes_supported", code=0x43),
+    _value(0x60C2, 1, 8),
+)
 
 #: Name of the profile -> how drives of the make differ from the standard one: rows of `sim.faults.KINDS`.
 QUIRKS: dict[str, tuple[Fault, ...]] = {
@@ -253,19 +265,9 @@ QUIRKS: dict[str, tuple[Fault, ...]] = {
         Fault("object_range", index=0x60B2, low=-3000, high=3000),
     ),
     # ipa320/cob_robots: Schunk_0_63.dcf
-    "schunk-lwa4p": (
-        *_NO_REACTION_CODE,
-        *_absent(0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6076),
-        Fault("modes_supported", code=0x43),
-        _value(0x60C2, 1, 8),
-    ),
-    # ros2_canopen: prbt_0_1.dcf
-    "pilz-prbt": (
-        *_NO_REACTION_CODE,
-        *_absent(0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6076),
-        Fault("modes_supported", code=0x43),
-        _value(0x60C2, 1, 8),
-    ),
+    "schunk-lwa4p": _SCHUNK,
+    # ros2_canopen: prbt_0_1.dcf, of drives by Schunk
+    "pilz-prbt": _SCHUNK,
 }
 
 

@@ -459,10 +459,8 @@ class DriveMotion:
                 wait = self._store.number((0x6068, 0)) * 1e-3
                 if self._reached_since is not None and self._time_s - self._reached_since >= wait:
                     bits |= TARGET_REACHED
-            elif self.mode == IP and not self.interpolating:
-                pass
-            elif self._axis.fed or self.brake_stuck:  # a drive does not notice that its brake falls in
-                bits |= MODE_SPECIFIC if self.interpolating or self.mode != IP else 0
+            elif (self._axis.fed or self.brake_stuck) and (self.mode != IP or self.interpolating):
+                bits |= MODE_SPECIFIC  # a drive does not notice that its brake falls in
             if self._lag_since is not None:
                 bits |= FOLLOWING_ERROR
         elif error_code == EMCY_FOLLOWING:

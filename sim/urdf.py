@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-FEWEST_AXES, MOST_AXES = 2, 8
+FEWEST_AXES, MOST_AXES = 1, 8
 
 
 class UrdfError(ValueError):
@@ -38,7 +38,7 @@ class SimBody:
 
 @dataclass(frozen=True, slots=True)
 class SimChain:
-    """Revolute joints in a chain, two to eight.
+    """Revolute joints in a chain, one to eight.
 
     Attributes
     ----------
@@ -134,11 +134,11 @@ class _AsWritten(ContentHandler):
 
 
 def read_chain(text: str | bytes, where: str, tip: str | None = None) -> SimChain:
-    """Read a URDF of two to eight revolute joints in a chain, which ends at the link `tip` where that is given.
+    """Read a URDF of one to eight revolute joints in a chain, which ends at the link `tip` where that is given.
 
     Raises
     ------
-    UrdfError : not XML, not a chain of two to eight revolute joints, or a number that is none
+    UrdfError : not XML, not a chain of one to eight revolute joints, or a number that is none
     """
     elements = _AsWritten()
     try:

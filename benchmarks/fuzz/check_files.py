@@ -81,7 +81,7 @@ def check_urdf(data: bytes) -> None:
     text = data.decode("utf-8", "replace")
     robot = bounded(lambda: robot_from_urdf(text, "robot.urdf"), (ConfigError,), len(data))
     if robot is not None:
-        assert 2 <= robot.axes <= 8
+        assert 1 <= robot.axes <= 8
         turn = robot.placement[:, :3, :3]
         assert np.allclose(turn @ turn.transpose(0, 2, 1), np.eye(3), atol=1e-9)
         assert np.allclose(np.linalg.norm(robot.axis, axis=1), 1.0)

@@ -55,8 +55,24 @@ class ProfileAnswers(Strict):
     position_source: Text | None = Field(default=None, description="where the counts come from")
     velocity_unit_rad_s: Positive | None = Field(default=None, description="motor speed that one bit of 0x606C is")
     velocity_source: Text | None = Field(default=None, description="source of the value")
+    ramp_counts_s2: Positive | None = Field(
+        default=None, description="counts/s2 per bit of 0x6085, where it is not the velocity unit per second"
+    )
     lost_heartbeat: Literal["quick stop", "disable voltage"] | None = Field(
         default=None, description="what stops the drive when the master's heartbeat is lost (0x6007)"
+    )
+
+    cyclic_mode: Annotated[int, Field(ge=7, le=8)] | None = Field(
+        default=None, description="mode of the setpoint stream where 0x6502 does not state it: 7 or 8"
+    )
+    mode_before_enable: bool | None = Field(
+        default=None, description="false: 0x6061 shows the mode only once the drive is enabled"
+    )
+    ignored_status: Literal["0x0200", "0x0800", "0x0A00"] | None = Field(
+        default=None, description="bits of the statusword without meaning: 0x0800 where a warning sets bit 11"
+    )
+    warning_codes: Annotated[str, Field(pattern=r"^0x[0-9A-Fa-f]{4}(, ?0x[0-9A-Fa-f]{4})*$")] | None = Field(
+        default=None, description="codes of emergency messages that only warn, such as 0x4310, 0x4390"
     )
 
     @property

@@ -63,8 +63,14 @@ def _asks_value(device: Device, answers: ProfileAnswers) -> bool:
     return permille and rated_address(device, answers) is None
 
 
+def has_counts(device: Device) -> bool:
+    """Return whether 0x608F holds the counts of a motor revolution; a drive that answers 1 for 1 has no value there."""
+    counts, turns = (device.live.get(address) for address in COUNTS)
+    return device.has(*COUNTS[0]) and (counts is None or counts != (turns or 1))
+
+
 def _asks_counts(device: Device, answers: ProfileAnswers) -> bool:
-    return answers.counts_object is None and not device.has(*COUNTS[0])
+    return answers.counts_object is None and not has_counts(device)
 
 
 Wanted = Callable[[Device, ProfileAnswers], bool]
@@ -180,7 +186,8 @@ _TABLE: Final[tuple[tuple[Question, Wanted], ...]] = (
     (
         Question(
             "velocity_unit_rad_s",
-            "How many rad/s of the motor is one bit of 0x606C? (1 rpm is 0.10471975511965977; left open: not read)",
+            "How many rad/s of the motor is one bit of 0x606C? (1 rpm is 0.10471975511965977; "
+            "left open: the speed is not read, and a quick stop ramp is refused)",
             (
                 "the manual's page on 0x606C or 0x60A9",
                 "on the drive: turn the shaft at a known speed",

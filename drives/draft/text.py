@@ -9,7 +9,7 @@ from typing import Final
 from drives.cia402 import FOLLOWING, Mode, mode_supported
 from drives.draft.answers import ProfileAnswers, address_of
 from drives.draft.device import Address, Device, velocity_unit_rad_s
-from drives.draft.questions import COUNTS, RATED, is_current, open_questions, rated_address, torque_address
+from drives.draft.questions import COUNTS, RATED, has_counts, is_current, open_questions, rated_address, torque_address
 from drives.errors import ProfileError
 from drives.objects import DataType
 from drives.profile import CyclicMode, Watchdog, needed_writes
@@ -45,9 +45,9 @@ def draft(device: Device, answers: ProfileAnswers, name: str) -> str:
     ProfileError
         The name is none, or the sheet has no torque and none was named.
     """
-    text = _text(device, answers, name, _reasons(device))
+    text = _text(device, answers, name, _reasons(device, answers))
     found = contradictions(parse_profile(text, name), device.sheet)
-    return _text(device, answers, name, (*_reasons(device), *found)) if found else text
+    return _text(device, answers, name, (*_reasons(device, answers), *found)) if found else text
 
 
 def _text(device: Device, answers: ProfileAnswers, name: str, no_motion: Iterable[str]) -> str:
@@ -57,9 +57,14 @@ def _text(device: Device, answers: ProfileAnswers, name: str, no_motion: Iterabl
         _torque(device, answers),
         _velocity(device, answers),
         _position(device, answers),
-        _TIMES.format(cyclic_mode=_cyclic_mode(device)),
+        _TIMES.format(
+            cyclic_mode=_cyclic_mode(device, answers),
+            before="false" if answers.mode_before_enable is False else "true",
+            ignored=answers.ignored_status or "0",
+        ),
         _heartbeat(device, answers),
-        _write(device),
+        _write(device, answers),
+        *(_WARNING.format(code=code.strip()) for code in (answers.warning_codes or "").split(",") if code),
     )
     return "\n".join(section for section in sections if section)
 
@@ -69,7 +74,7 @@ def profile_name(text: str) -> str:
     return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.") or "drive"
 
 
-def _reasons(device: Device) -> tuple[str, ...]:
+def _reasons(device: Device, answers: ProfileAnswers) -> tuple[str, ...]:
     """Return why this drive cannot be moved, as far as sheet and drive show it."""
     found = []
     modes = device.value_of(0x6502)
@@ -77,14 +82,16 @@ def _reasons(device: Device) -> tuple[str, ...]:
         found.append(f"neither cyclic synchronous nor interpolated position mode: {modes[1]} = 0x{modes[0]:X}")
     there = {index for index, _ in device.sheet.entries}
     denied = {index for (index, sub), value in device.live.items() if value is None and not device.has(index, sub)}
-    lacking = [f"0x{index:04X}" for index in _needed(device) if index not in there or index in denied]
+    lacking = [f"0x{index:04X}" for index in _needed(device, answers) if index not in there or index in denied]
     if lacking:
         found.append(f"no {', '.join(lacking)}: the drive lacks what bringing it up needs")
     return tuple(found)
 
 
-def _cyclic_mode(device: Device) -> CyclicMode:
-    """Return cyclic synchronous position, unless the drive states interpolated position alone."""
+def _cyclic_mode(device: Device, answers: ProfileAnswers) -> CyclicMode:
+    """Return the mode as answered; else cyclic synchronous position, unless the drive states interpolated position."""
+    if answers.cyclic_mode is not None:
+        return 7 if answers.cyclic_mode == 7 else 8
     modes = device.value_of(0x6502)
     if modes is None or mode_supported(modes[0], Mode.CYCLIC_SYNC_POSITION):
         return 8
@@ -96,8 +103,8 @@ def _watchdog(device: Device) -> Watchdog:
     return "node guarding" if device.has(0x100C) and not device.has(0x1016, 1) else "heartbeat"
 
 
-def _needed(device: Device) -> tuple[int, ...]:
-    return needed_writes(_cyclic_mode(device), _watchdog(device), has_option=device.has(0x6007))
+def _needed(device: Device, answers: ProfileAnswers) -> tuple[int, ...]:
+    return needed_writes(_cyclic_mode(device, answers), _watchdog(device), has_option=device.has(0x6007))
 
 
 def _head(device: Device, answers: ProfileAnswers, name: str, no_motion: tuple[str, ...]) -> str:
@@ -139,7 +146,7 @@ def _identity(device: Device) -> str:
 def _torque(device: Device, answers: ProfileAnswers) -> str:
     address = torque_address(device, answers)
     if address is None:
-        advice = "answer torque_object, such as torque_object=0x30D1:02"
+        advice = "answer torque_object, such as torque_object=0x30D1:02; without one this drive can weigh no load"
         raise ProfileError(f"{device.sheet.name} has neither 0x6077 nor 0x6078 to read a torque from", advice=advice)
     kind = device.type_of(*address)
     if kind is None:
@@ -215,7 +222,9 @@ def _velocity(device: Device, answers: ProfileAnswers) -> str:
         unit = answers.velocity_unit_rad_s, answers.velocity_source or "assumed, answered without a source"
     if kind is None or unit is None:
         return "# No [velocity]: the unit of 0x606C is not known.\n"
-    lines = ("[velocity]", f"object = {_object((0x606C, 0), kind)}", f"unit_rad_s = {_constant(*unit)}")
+    lines = ["[velocity]", f"object = {_object((0x606C, 0), kind)}", f"unit_rad_s = {_constant(*unit)}"]
+    if answers.ramp_counts_s2 is not None:
+        lines.append(f"ramp_counts_s2 = {_constant(answers.ramp_counts_s2, unit[1])}")
     return "\n".join(lines) + "\n"
 
 
@@ -235,7 +244,7 @@ def _counts(device: Device, answers: ProfileAnswers) -> tuple[str, ...]:
         source = answers.position_source or answers.torque_source or "assumed, answered without a source"
         return (f"counts_per_revolution = {_constant(answers.counts_per_revolution, source)}",)
     counts, per = device.type_of(*COUNTS[0]), device.type_of(*COUNTS[1])
-    if counts is not None:
+    if counts is not None and has_counts(device):
         named = f"object = {_object(COUNTS[0], counts)}" + ("" if per is None else f", per = {_object(COUNTS[1], per)}")
         note = "# Read from the drive each time; `check` fails where 0x6091 or 0x6092 scale the position once more."
         return note, f"counts_per_revolution = {{ {named} }}"
@@ -246,13 +255,21 @@ _TIMES: Final = """\
 # Long timeouts; shorter ones only where the manual gives them. Mode by 0x6502: 8 cyclic synchronous, 7 interpolated.
 [state_machine]
 cyclic_mode = {cyclic_mode}
+ignored_status = {ignored}
 transition_timeout_s = 2.0
-mode_before_enable = true
+mode_before_enable = {before}
 brake_delay_s = 0.1
 
 [sdo]
 timeout_s = 0.5
 slow_timeout_s = 3.0
+"""
+_WARNING: Final = """\
+[[emcy]]
+code = {code}
+text = "a warning, as answered"
+advice = "see the manual of the drive"
+warning = true
 """
 
 
@@ -273,9 +290,9 @@ def _heartbeat(device: Device, answers: ProfileAnswers) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write(device: Device) -> str:
+def _write(device: Device, answers: ProfileAnswers) -> str:
     there = {index for index, _ in device.sheet.entries}
-    allow = sorted({*_needed(device), *USEFUL_WRITES} & there)
+    allow = sorted({*_needed(device, answers), *USEFUL_WRITES} & there)
     rows = [", ".join(f"0x{index:04X}" for index in allow[at : at + 8]) for at in range(0, len(allow), 8)]
     lines = [
         "# Every object that the master may write. 0x6072 and 0x607D make a drive safer where their units are known.",

@@ -150,6 +150,8 @@ def visit_settings(loaded: LoadedCell, config: ArmConfig) -> VisitSettings:
 
 
 def _expected(plan: Plan, loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> Plan:
+    if workspace.robot.axes == 1:
+        return plan  # the torque of one axis determines two of the four parameters of a load: no mass is expected
     noise_nm = assumed_noise_nm(workspace)
     gain_std = constants_std(config, profile_of((), loaded))
     fit = [pose for pose in plan.poses if pose.purpose == "fit"]

@@ -132,8 +132,7 @@ def can_be_measured(workspace: Workspace, approach_offset_rad: float, q_rad: np.
 def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_nm: np.ndarray) -> list[int]:
     rows = gravity_regressor(workspace.robot, candidates, workspace.gravity_m_s2) / noise_nm[:, None]
     links = rows * (1.0 / np.maximum(np.abs(rows).max(axis=(0, 1)), 1e-12))
-    load = rows[:, :, LOAD_COLUMNS] / np.abs(rows[:, :, LOAD_COLUMNS]).max(axis=(0, 1))
-    designs = ((load, 1.0), (links, LINK_WEIGHT))
+    designs = ((links[:, :, LOAD_COLUMNS], 1.0), (links, LINK_WEIGHT))
     span = np.zeros((len(candidates), len(candidates)), dtype=np.float32)
     for joint in candidates.T.astype(np.float32):
         np.maximum(span, np.abs(joint[:, None] - joint), out=span)

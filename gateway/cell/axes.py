@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-#: Fewer cannot separate mass and centre of gravity; more is not tested.
-FEWEST_AXES: Final = 2
+#: One axis determines mass times distance, and with a weighed load its torque constant; more than 8 are not tested.
+FEWEST_AXES: Final = 1
 MOST_AXES: Final = 8

@@ -1,4 +1,4 @@
-"""Cell file: buses, arms of two to eight axes, and settings of the rest poses.
+"""Cell file: buses, arms of one to eight axes, and settings of the rest poses.
 
 Values are validated with pydantic and frozen. Unknown keys and constants without a source are refused; there is no
 default of 1.0.
@@ -248,7 +248,7 @@ No = Annotated[bool, Field(strict=True)]
 
 
 class ArmConfig(Strict):
-    """One arm on one bus, of two to eight axes; six is the usual case: `link_6` stands for the last link."""
+    """One arm on one bus, of one to eight axes; six is the usual case: `link_6` stands for the last link."""
 
     name: PlainName = Field(description="name of the arm in all files, and for `--arm`")
     bus: str = Field(description="name of its [bus.NAME]")
@@ -366,7 +366,7 @@ class ArmConfig(Strict):
         default=None,
         description="joint angles for mounting a load: `move --to loading`, also used by `commission`",
     )
-    axis: tuple[AxisConfig, ...] = Field(description="two to eight of them, usually six, from the base on")
+    axis: tuple[AxisConfig, ...] = Field(description="one to eight of them, usually six, from the base on")
 
     @property
     def link_std(self) -> float:

@@ -57,7 +57,7 @@ def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
     with open_bus(spec) as bus:
         nodes = scan_bus(bus, listen_s=listen_s)
     if not nodes:
-        advice = "check supply, wiring, termination and bit rate, and that the drives are on this bus"
+        advice = "check supply, wiring, termination, bit rate and, by `servo-gateway doctor`, the CAN controller"
         raise BusError(f"{bus_spec}: no node answered", advice=advice)
     columns = ["node", "device", "vendor", "product", "revision", "serial", "firmware", "NMT", "profiles"]
     session_of().show(grid(f"nodes on {bus_spec}", columns, [_node_row(node) for node in nodes], left=len(columns)))

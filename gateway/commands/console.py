@@ -243,9 +243,13 @@ def axis_table(title: str, lines: Mapping[str, Sequence[float]]) -> Table:
 
 
 def findings_table(findings: Sequence[Finding], title: str = "findings") -> Table:
-    """Return a table of findings with their remedies; the severity is coloured."""
+    """Return a table of findings with their remedies, equal ones of several axes in one row; severity is coloured."""
     table = grid(title, ["severity", "where", "what", "advice"], [], left=4)
+    rows: dict[tuple[str, ...], list[str]] = {}
     for finding in findings:
-        severity = Text(finding.severity, style=SEVERITY_STYLE.get(finding.severity, "default"))
-        table.add_row(severity, finding.where, with_degrees(finding.what), with_degrees(finding.advice))
+        place, colon, address = finding.where.partition(":")
+        rows.setdefault((finding.severity, colon + address, finding.what, finding.advice), []).append(place)
+    for (severity, address, what, advice), places in rows.items():
+        coloured = Text(severity, style=SEVERITY_STYLE.get(severity, "default"))
+        table.add_row(coloured, ", ".join(places) + address, with_degrees(what), with_degrees(advice))
     return table

@@ -156,8 +156,8 @@ def _interface(place: Path) -> Finding:
     if driver == "virtual":
         return Finding("ok", place.name, f"{said}: virtual, no physical bus")
     bring_up = BRING_UP.format(name=place.name)
-    if controller == "BUS-OFF":
-        advice = f"check wiring, termination and bit rate; sudo ip link set {place.name} down; {bring_up}"
+    if controller in ("BUS-OFF", "ERROR-PASSIVE", "ERROR-WARNING"):
+        advice = f"check drive supply, wiring, termination and bit rate; sudo ip link set {place.name} down; {bring_up}"
         return Finding("warn", place.name, said, advice)
     if state == "down":
         return Finding("warn", place.name, said, bring_up)

@@ -101,7 +101,7 @@ def follow(
     prepared = prepare(context.loaded, arm, path_file, load_file, label)
     session = session_of()
     _announce(prepared, session)
-    with stoppable(moving) as options, context.opened(arm, trace=trace, feedforward=True) as opened:
+    with stoppable(moving) as options, context.opened(arm, trace=trace, offsets=("velocity", "torque")) as opened:
         identities = [asdict(identity) for identity in opened.identities]
         options = begin_motion(context, (opened,), options, moving.ask, session.note)
         with context.last_seconds(options, opened), session.progress(prepared.duration_s, "follow") as bar:

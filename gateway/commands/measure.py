@@ -110,7 +110,7 @@ def plan(
 def _poses(
     ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
 ) -> tuple[tuple[tuple[float, ...], ...], tuple[int, ...]]:
-    """Return postures and pose numbers; a single number is a pose number, because no arm has one axis."""
+    """Return postures and pose numbers; an integer without sign and point is a pose number."""
     numbers = [value for value in values if value.strip().isdecimal()]
     postures = tuple(joint_angles(value, session_of(ctx)) for value in values if value not in numbers)
     return postures, tuple(map(int, numbers))

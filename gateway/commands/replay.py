@@ -79,6 +79,9 @@ def store(path: Path, result: Result) -> None:
     }
     replace_file(path, archive_bytes(Archive(files, stated)))
     session_of().show(f"archive: {path}, {len(files)} files")
+    named = [typed for typed in read.values() if Path(typed).is_absolute()]
+    if named:
+        session_of().note(f"{path}: holds folder names such as {named[0]}: type relative names before you pass it on")
 
 
 def _plain(name: str, value: Any) -> Any:

@@ -196,6 +196,8 @@ def _why_open(estimate: Estimate, load: LoadEstimate) -> str:
 
 
 def _what_to_do(estimate: Estimate, robot: Robot | None) -> str:
+    if len(estimate.sigma_nm) == 1:
+        return "one axis measures mass times distance: weigh the load, and calibrate the axis with it"
     if estimate.next:
         return "measure the pose that is named under `next`"
     turn = "" if robot is None else f", and turn {wrist_in_words(robot)} between the poses"

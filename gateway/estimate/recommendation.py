@@ -41,12 +41,12 @@ def next_pose(
     Returns
     -------
     NextMeasurement or None
-        None where the load is undetermined, no axis gives information, or there is no pose to choose.
+        None where the load is undetermined, as by one axis, no axis gives information, or there is no pose to choose.
     """
     stays = load.budget.get(CONSTANTS, 0.0) + load.budget.get(DRIFT, 0.0)
     now = _with_unknown(load, 1.0 - stays)
     q = candidates(robot) if pose_choice is None else pose_choice
-    if now is None or not np.isfinite(sigma_nm).any() or not len(q):
+    if now is None or robot.axes == 1 or not np.isfinite(sigma_nm).any() or not len(q):
         return None
     gain = payload_information(robot, q, sigma_nm, knowledge.gravity_m_s2)
     size = np.sqrt(np.diag(now))

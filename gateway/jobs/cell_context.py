@@ -16,6 +16,7 @@ from drives.bus import Bus, BusSpec, open_bus
 from drives.group import GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.nodes import Nodes
+from drives.pdo import Offsets
 from drives.profile import DriveProfile
 from gateway.acquire.blackbox import last_seconds
 from gateway.cell.buses import bus_specs
@@ -196,7 +197,7 @@ class CellContext:
         return shlex.join(["servo-gateway", "move", str(self.path), *named, *self.options, "--to", to])
 
     @contextmanager
-    def opened(self, arm: ArmConfig, *, trace: Path | None = None, feedforward: bool = False) -> Generator[OpenArm]:
+    def opened(self, arm: ArmConfig, *, trace: Path | None = None, offsets: Offsets = ()) -> Generator[OpenArm]:
         """Open an arm to move it, as `open_arm`; no other command may use its bus until the command ends.
 
         Parameters
@@ -204,12 +205,12 @@ class CellContext:
         arm : ArmConfig
         trace : Path, optional
             File of the frame log.
-        feedforward : bool
-            Use velocity and torque offsets of the drives.
+        offsets : tuple of str
+            Offsets of the drives that the command uses: "velocity", "torque".
         """
         self.reserve(arm)
         spec, ledger = self.bus_spec(arm), self.ledger
-        opening = open_arm(self.loaded, spec, arm.name, trace=trace, ledger=ledger, feedforward=feedforward)
+        opening = open_arm(self.loaded, spec, arm.name, trace=trace, ledger=ledger, offsets=offsets)
         with self.with_move_command(), opening as opened:
             yield opened
 

@@ -56,7 +56,7 @@ def arm_robot(loaded: LoadedCell, arm: ArmConfig) -> Robot:
     Raises
     ------
     ConfigError
-        File unreadable, or not a chain of two to eight revolute joints.
+        File unreadable, or not a chain of one to eight revolute joints.
     """
     return robot_from_text(arm, robot_text(loaded, arm), robot_place(loaded, arm))
 
@@ -67,7 +67,7 @@ def robot_from_text(arm: ArmConfig, text: str, where: str) -> Robot:
     Raises
     ------
     ConfigError
-        Not a chain of two to eight revolute joints, or the number of joints differs from that of the axes.
+        Not a chain of one to eight revolute joints, or the number of joints differs from that of the axes.
     """
     robot = robot_from_dh(arm.dh, arm.name) if arm.dh is not None else robot_from_urdf(text, where, arm.tip)
     if robot.axes != len(arm.axis):

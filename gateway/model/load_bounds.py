@@ -79,6 +79,7 @@ def bounds_of(
 
     The mass is bounded by five times the rated load, and by five times the load that the strongest joint holds with the
     arm stretched out. Without a rating it is also bounded by the mass of the links.
+    Of one axis only the rating counts: the lever of a bench is lighter than the weight on it.
 
     Parameters
     ----------
@@ -92,6 +93,8 @@ def bounds_of(
     """
     masses = [(NO_ARM.mass_kg, NO_ARM.mass_source)]
     levers = [(NO_ARM.lever_m, NO_ARM.lever_source)]
+    if robot is not None and robot.axes == 1:
+        robot = None
     reach = 0.0 if robot is None else reach_m(robot)
     if rating is not None:
         masses.append((OVERLOAD * rating[0], f"{OVERLOAD:g} x {rating[1]} of {rating[0]:g} kg"))

@@ -1,4 +1,4 @@
-"""Robot model: a serial arm of two to eight revolute axes as arrays, from a URDF or Denavit-Hartenberg parameters.
+"""Robot model: a serial arm of one to eight revolute axes as arrays, from a URDF or Denavit-Hartenberg parameters.
 
 Link `i` turns with joint `i`. The origin of its frame is on the axis of that joint (the URDF convention). Its pose in
 the frame of the previous link is `placement[i] @ rotation(axis[i], q[i])`; for `i = 0` in the root link. Unknown
@@ -160,8 +160,8 @@ def with_flange(robot: Robot, xyz_m: Sequence[float], rpy_rad: Sequence[float] =
 
 
 def reach_m(robot: Robot) -> float:
-    """Return the length of an arm: sum of the distances from joint to joint [m]."""
-    return float(np.linalg.norm(robot.placement[1:, :3, 3], axis=1).sum())
+    """Return the length of an arm [m]: sum of the distances from joint to joint; at least that of its last link."""
+    return max(float(np.linalg.norm(robot.placement[1:, :3, 3], axis=1).sum()), float(link_lengths_m(robot)[-1]))
 
 
 def link_lengths_m(robot: Robot) -> Floats:
@@ -194,7 +194,7 @@ def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
     Raises
     ------
     ConfigError
-        Not XML, entity declarations, not two to eight driven joints in one chain, or a value that is missing or not
+        Not XML, entity declarations, not one to eight driven joints in one chain, or a value that is missing or not
         finite; the message names file and element.
     """
     chain = urdf.read_chain(text, where, tip)
@@ -279,7 +279,7 @@ def robot_from_dh(table: DhRows, name: str = "dh") -> Robot:
     Raises
     ------
     ConfigError
-        Unknown convention, not two to eight rows, columns of different length, or a value that is not finite. Also a
+        Unknown convention, not one to eight rows, columns of different length, or a value that is not finite. Also a
         standard table whose last a is not 0: that frame would not be on its axis (give the length in the flange).
     """
     columns = [

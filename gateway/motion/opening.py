@@ -15,6 +15,7 @@ from drives.drive import AxisSetup, Identity
 from drives.errors import ProfileError
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
+from drives.pdo import Offsets
 from drives.profile import DriveProfile
 from drives.profile_file import find_profile
 from drives.scaling import Constants
@@ -198,8 +199,7 @@ def open_arm(
     *,
     trace: Path | None = None,
     ledger: Path | None = None,
-    feedforward: bool = False,
-    torque_offset: bool = False,
+    offsets: Offsets = (),
     instruments: tuple[InstrumentSetup, ...] = (),
     disk: Disk | None = None,
 ) -> Generator[OpenArm]:
@@ -220,10 +220,8 @@ def open_arm(
         File of the frame log (`.blf`, `.log`).
     ledger : Path, optional
         Folder of the write ledger.
-    feedforward : bool
-        Use velocity and torque offsets of the drives: a second RPDO is mapped.
-    torque_offset : bool
-        Use the torque offset of the drives alone.
+    offsets : tuple of str
+        Offsets of the drives that the command uses: "velocity" (0x60B1), "torque" (0x60B2).
     instruments : tuple of InstrumentSetup
         Measuring devices that are read with the drives.
     disk : Disk, optional
@@ -250,7 +248,7 @@ def open_arm(
     setups = axis_setups(loaded, config)
     _refuse_obstacles(setups)
     _refuse_placeholders(config)
-    setups = tuple(replace(setup, feedforward=feedforward, torque_offset=torque_offset) for setup in setups)
+    setups = tuple(replace(setup, offsets=offsets) for setup in setups)
     bus_config = loaded.cell.bus[config.bus]
     options = GroupOptions(ledger_path=ledger, instruments=instruments, allow_real_drive=bus_config.allow_real_drive)
     with (

@@ -74,9 +74,14 @@ def upward(arm: ArmConfig, robot: Robot) -> Floats:
 def outward(robot: Robot) -> Floats:
     """Return the unit vector (3,) along axis 1, from the base to the arm."""
     axis = robot.placement[0, :3, :3] @ robot.axis[0]
-    heights = link_frames(robot, np.zeros((1, robot.axes)))[0, 1:, :3, 3] @ axis
+    heights = link_frames(robot, np.zeros((1, robot.axes)))[0, _shoulder(robot) :, :3, 3] @ axis
     determining = heights[0] if abs(heights[0]) > LEAST_SHARE * reach_m(robot) else heights[np.argmax(np.abs(heights))]
     return -axis if determining < 0.0 else axis
+
+
+def _shoulder(robot: Robot) -> int:
+    """Return the index of joint 2; of joint 1 where that is the only one."""
+    return min(1, robot.axes - 1)
 
 
 def _lean_rad(arm: ArmConfig, robot: Robot) -> float:
@@ -84,10 +89,10 @@ def _lean_rad(arm: ArmConfig, robot: Robot) -> float:
 
 
 def _shoulder_m(robot: Robot, direction: Floats) -> float:
-    """Return the largest height [m] of joint 2 along a direction, over all angles of joint 1."""
+    """Return the largest height [m] of the shoulder along a direction, over all angles of joint 1."""
     q_rad = np.zeros((_TURNS, robot.axes))
     q_rad[:, 0] = np.linspace(-np.pi, np.pi, _TURNS)
-    return float((link_frames(robot, q_rad)[:, 1, :3, 3] @ direction).max())
+    return float((link_frames(robot, q_rad)[:, _shoulder(robot), :3, 3] @ direction).max())
 
 
 def _assumed_height_m(arm: ArmConfig, robot: Robot, direction: Floats) -> float:

@@ -65,7 +65,7 @@ def open_link(cell: PairCell, ledger: Path | None = None) -> Generator[PairLink]
         for arm, spec in zip(cell.arms, cell.specs, strict=True):
             on_bus, name = instruments_on(arm.config.bus, cell.config), arm.config.name
             opening = open_arm(
-                cell.loaded, spec, name, ledger=ledger, torque_offset=True, instruments=on_bus, disk=disk
+                cell.loaded, spec, name, ledger=ledger, offsets=("torque",), instruments=on_bus, disk=disk
             )
             arms.append(opened.enter_context(opening))
         together = Arms([each.arm for each in arms], cell.pacing)

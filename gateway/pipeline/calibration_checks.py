@@ -59,12 +59,17 @@ class Weight:
         Raises
         ------
         ConfigError
-            The mass of the load is 0.
+            The mass of the load is 0, or its centre of gravity is not stated on an arm of one axis.
         """
         load = about.knowledge.stated_loads[label]
         if not load.mass_kg > 0.0:
             raise ConfigError(
                 f"--known {label}={load.mass_kg:g}: a load of 0 kg cannot calibrate an axis; state the weighed mass"
+            )
+        if load.com_m is None and about.model.axes == 1:
+            raise ConfigError(
+                f"--known {label}={load.mass_kg:g}: one axis measures mass times distance; state the centre of gravity:"
+                f" --known {label}={load.mass_kg:g},flange=X,Y,Z"
             )
         return Weight(label, load.mass_kg, load.com_m, load.mass_std_kg, load.com_std_m)
 

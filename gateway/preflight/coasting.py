@@ -117,8 +117,10 @@ def _ramp(axis: Axis, readings: Readings) -> Iterator[Finding]:
     address, velocity = OBJECTS[name].address, axis.profile.velocity
     option = value_of(readings, "quick_stop_option")
     if raw is None:
-        if option not in (None, BY_LIMIT):
-            what = "missing or not readable: duration of a quick stop unknown"
+        what = "missing or not readable: duration of a quick stop unknown"
+        if option is None:
+            yield axis.item("warn", address, what, "0x605A is missing too: only the proof of its stop shows it")
+        elif option != BY_LIMIT:
             yield axis.item("fail", address, what, "set 0x605A to 3 (current limit) in the drive, if it takes that")
         return
     if raw == 0:
@@ -128,19 +130,20 @@ def _ramp(axis: Axis, readings: Readings) -> Iterator[Finding]:
     unit_rad_s2 = None if velocity is None else velocity.ramp_rad_s2(counts)
     if unit_rad_s2 is None:
         what = f"{raw}: duration of a quick stop unknown, because the profile has no [velocity]"
-        advice = (
-            "copy the profile and state [velocity] from the manual, or set 0x605A to 3 (current limit) in the drive"
-        )
+        advice = "state [velocity] in the profile, of a packaged one in a copy"
+        if option is not None:
+            advice += ", or set 0x605A to 3 (current limit) in the drive"
         yield axis.item("fail", address, what, advice)
         return
     config = axis.config
     speed_rad_s = config.speed_limit_rad_s * abs(config.gear_ratio.value)
     ramp_s = speed_rad_s / (raw * unit_rad_s2)
-    what = (
-        f"{ramp_s:.2g} s from {config.speed_limit_rad_s:g} rad/s to rest, if its unit is the velocity unit per second"
-    )
+    what = f"{ramp_s:.2g} s from {config.speed_limit_rad_s:g} rad/s to rest"
+    if velocity is not None and velocity.ramp_counts_s2 is None:
+        what += ", if its unit is the velocity unit per second"
     if ramp_s > LONG_S:
-        advice = f"raise it in the drive: more than {TOO_LONG_S:g} s is refused; or lower speed_limit_rad_s"
+        advice = f"raise it in the drive: more than {TOO_LONG_S:g} s is refused; or lower speed_limit_rad_s; or "
+        advice += "state the unit as ramp_counts_s2 in [velocity] of the profile"
         yield axis.item("fail" if ramp_s > TOO_LONG_S else "warn", address, what, advice)
     else:
         yield axis.item("ok", address, what)

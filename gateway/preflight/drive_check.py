@@ -28,12 +28,13 @@ from gateway.preflight.rules import (
     judge_identity,
     judge_settings,
     judge_state,
+    used_objects,
 )
 from gateway.preflight.swap import SeenDrive, judge_places
 from gateway.result.result import Finding
 
 #: Objects read from every drive: state.
-READ_LIVE: Final = ("statusword", "position", "digital_inputs", "torque_offset")
+READ_LIVE: Final = ("statusword", "position", "digital_inputs", "torque_offset", "error_code")
 #: Settings that have to be readable; settings whose values are checked where they are readable; and further ones.
 NEEDED: Final = ("quick_stop_option", "fault_reaction_option")
 CHECKED: Final = (
@@ -75,7 +76,7 @@ def addresses(profile: DriveProfile) -> dict[Address, str]:
     """Return the objects to read, with their types, for a drive of this profile."""
     names = (*READ_LIVE, *NEEDED, *profile.loss_objects, *CHECKED, *FURTHER)
     wanted = {OBJECTS[name].address: OBJECTS[name].type for name in names}
-    return wanted | _references(profile)
+    return wanted | used_objects(profile) | _references(profile)
 
 
 def _references(profile: DriveProfile) -> dict[Address, str]:
@@ -91,10 +92,10 @@ def _references(profile: DriveProfile) -> dict[Address, str]:
 
 
 def live_addresses(profile: DriveProfile) -> frozenset[Address]:
-    """Return the objects of `addresses` that vary in operation: state, position, torque."""
+    """Return the objects of `addresses` that vary in operation: state, commands, position, torque."""
     shown = [profile.torque.object, *(condition.object for condition in profile.conditions)]
     named = {OBJECTS[name].address for name in READ_LIVE}
-    return frozenset(named | {(reference.index, reference.subindex) for reference in shown})
+    return frozenset(named | used_objects(profile).keys() | {(each.index, each.subindex) for each in shown})
 
 
 def needed_addresses(profile: DriveProfile) -> frozenset[Address]:

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from drives.cia402 import FAULTED, FOLLOWING, Mode, State, decode_state, describe, mode_supported
+from drives.cia402 import FAULTED, FOLLOWING, INTERNAL_LIMIT, Mode, State, decode_state, describe, mode_supported
+from drives.emcy import code_class
 from drives.objects import OBJECTS, object_name
 from drives.profile import Constant, DriveProfile, Signal
 from drives.values import Identity
@@ -16,6 +17,8 @@ from gateway.result.finding import Finding, Severity
 
 #: Ratio of torque limits (drive to cell) above which a unit error is assumed.
 IMPLAUSIBLE = 50.0
+#: And below which an axis would drop when it is enabled: gravity takes a tenth of the peak torque and more.
+TOO_WEAK = 0.1
 #: Torque limits of one direction, in addition to 0x6072.
 DIRECTED: Final = ("positive_torque_limit", "negative_torque_limit")
 CONFIRM_TORQUE: Final = "write the limit from the data sheet to the cell, and its source to torque_limit_source"
@@ -77,9 +80,9 @@ def judge_identity(axis: Axis, identity: Identity) -> list[Finding]:
         what = f"device type {_hex(identity.device_type)} is not a CiA 402 drive"
         items.append(axis.item("fail", OBJECTS["device_type"].address, what, "check the node id"))
     advice = "check wiring and node ids, or choose the profile of this drive and firmware"
-    for problem in identity.mismatches(axis.profile):
+    for subindex, problem in identity.mismatches(axis.profile).items():
         what = f"{problem} (profile '{axis.profile.name}')"
-        items.append(axis.item("fail", OBJECTS["vendor_id"].address, what, advice))
+        items.append(axis.item("fail", (0x1018, subindex), what, advice))
     parts = {
         "vendor": _hex(identity.vendor_id),
         "product": _hex(identity.product_code),
@@ -102,7 +105,9 @@ def _state(axis: Axis, readings: Readings) -> Iterator[Finding]:
         return
     state = decode_state(word)
     if state in FAULTED:
-        yield axis.item("fail", address, describe(word), "read the fault, remove its cause, reset it at the drive")
+        code = value_of(readings, "error_code")
+        what = f"{describe(word)}, error code {'not readable' if code is None else f'0x{code:04X}, {code_class(code)}'}"
+        yield axis.item("fail", address, what, "remove the cause, then reset the fault at the drive")
     elif state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
         what = f"{describe(word)}: the drive is energised, although this command has not enabled it"
         advice = "stop the other master; after an interrupted run `servo-gateway restore CELL` disables the drive"
@@ -111,11 +116,29 @@ def _state(axis: Axis, readings: Readings) -> Iterator[Finding]:
         yield axis.item(
             "warn", address, describe(word), "`servo-gateway restore CELL` disables it, unless a master uses it"
         )
+    elif word & INTERNAL_LIMIT & ~axis.profile.state_machine.ignored_status:
+        advice = "see its position limits (0x607D), limit switches (0x60FD), warnings; where a warning that may stay "
+        advice += "sets the bit, set ignored_status = 0x0800 in [state_machine] of its profile"
+        yield axis.item("warn", address, f"{describe(word)} (bit 11)", advice)
     else:
         yield axis.item("ok", address, describe(word))
 
 
+def used_objects(profile: DriveProfile) -> dict[Address, str]:
+    """Return the objects by which every drive is moved, with their types; some drives do not let them be read."""
+    named = [OBJECTS[name] for name in ("controlword", "mode", "mode_display")]
+    stated = (profile.target_position, profile.position.object)
+    return {each.address: each.type for each in named} | {(each.index, each.subindex): each.type for each in stated}
+
+
 def _conditions(axis: Axis, readings: Readings) -> Iterator[Finding]:
+    if not axis.profile.safety:
+        what = "STO, emergency stop and enable input are not read: the profile names no [[safety]] object"
+        yield axis.item("info", None, what, "write object, bit and source from the manual to the profile")
+    if axis.profile.reference is None:
+        what = "whether the encoder kept its turns without supply is not read: the profile names no [reference]"
+        advice = "compare the joint angle with the arm after each power-up; home a single-turn or incremental encoder"
+        yield axis.item("info", OBJECTS["position"].address, what, advice)
     for condition in axis.profile.conditions:
         address = (condition.object.index, condition.object.subindex)
         value = readings.get(address)
@@ -131,6 +154,10 @@ def _conditions(axis: Axis, readings: Readings) -> Iterator[Finding]:
 
 
 def _mode(axis: Axis, readings: Readings) -> Iterator[Finding]:
+    for address in used_objects(axis.profile):
+        if readings.get(address, 0) is None:
+            what = f"the drive does not have this object, which profile {axis.profile.name} uses for every motion"
+            yield axis.item("fail", address, what, "make its profile from the EDS of this firmware")
     modes = value_of(readings, "supported_modes")
     address = OBJECTS["supported_modes"].address
     if modes is None:
@@ -197,9 +224,9 @@ def joint_torque_limit_nm(axis: Axis, readings: Readings, name: str = "max_torqu
     return None if limit is None or not full else abs(axis.config.gear_ratio.value) * full * limit / 1000.0
 
 
-def joint_current_limit_nm(axis: Axis, readings: Readings) -> float | None:
-    """Return the joint torque that the current limit 0x6073 allows [Nm]; None if unknown."""
-    limit, profile = value_of(readings, "max_current"), axis.profile
+def joint_current_limit_nm(axis: Axis, readings: Readings, name: str = "max_current") -> float | None:
+    """Return the joint torque that a limit in per mille of the rated current allows [Nm]; None if unknown."""
+    limit, profile = value_of(readings, name), axis.profile
     signals = [signal for signal in (profile.current, profile.torque) if signal is not None]
     signal = next((each for each in signals if each.kind == "permille_rated_current"), None)
     rated_a = None if signal is None else _rated_value(signal, readings)
@@ -221,15 +248,20 @@ def _rated_value(signal: Signal, readings: Readings) -> float | None:
 def _torque_limits(axis: Axis, readings: Readings) -> Iterator[Finding]:
     limits = {name: joint_torque_limit_nm(axis, readings, name) for name in ("max_torque", *DIRECTED)}
     limits["max_current"] = joint_current_limit_nm(axis, readings)
-    stated_nm = axis.config.torque_limit_nm
+    stated_nm, rated_nm = axis.config.torque_limit_nm, joint_current_limit_nm(axis, readings, "max_torque")
     for name, joint_nm in limits.items():
         limit, address, is_total = value_of(readings, name), OBJECTS[name].address, name == "max_torque"
         if limit == 0:
             advice = "set the torque limit in the drive" if is_total else "set the limit in the drive"
             yield axis.item("fail", address, "0: the drive produces no torque", advice)
+        elif is_total and (least_nm := joint_nm or rated_nm or math.inf) < TOO_WEAK * stated_nm:
+            what = f"{limit} per mille is {least_nm:.3g} Nm at the joint, too little for an axis of {stated_nm:g} Nm"
+            advice = "raise it in the drive, or correct the unit of the rated torque (uNm, mNm) or gear_ratio"
+            yield axis.item("fail", address, what, advice)
         elif joint_nm is None:
-            continue
-        elif is_total and not 1.0 / IMPLAUSIBLE < joint_nm / stated_nm < IMPLAUSIBLE:
+            if is_total and limit is not None and limit < 1000:
+                yield axis.item("warn", address, f"{limit} per mille of the rated torque", SATURATES)
+        elif is_total and joint_nm > IMPLAUSIBLE * stated_nm:
             what = f"{limit} per mille is {joint_nm:.3g} Nm at the joint, the cell allows {stated_nm:g} Nm"
             advice = "rated torque in another unit (uNm, mNm) or a wrong gear_ratio: correct it"
             yield axis.item("fail", address, what, advice)
@@ -245,7 +277,7 @@ def _encoder(axis: Axis, readings: Readings) -> Iterator[Finding]:
     increments, turns = value_of(readings, "encoder_increments"), value_of(readings, "encoder_revolutions")
     profile = axis.profile
     assumed = profile.position.counts_per_revolution
-    if not increments or not turns:
+    if not increments or not turns or increments == turns:
         return
     if isinstance(assumed, Constant):
         if increments != assumed.value * turns:
@@ -294,8 +326,8 @@ def _scaling(axis: Axis, readings: Readings) -> Iterator[Finding]:
 
 
 def _resolution(axis: Axis, readings: Readings) -> Iterator[Finding]:
-    if counts_per_revolution(axis.profile, readings) is None:
-        what = "encoder resolution is missing or zero"
+    if (counts_per_revolution(axis.profile, readings) or 0) <= 1:
+        what = "encoder resolution is missing, zero or 1:1 as delivered without a motor"
         yield axis.item(
             "fail", OBJECTS["encoder_increments"].address, what, "set it in the drive or give it in the profile"
         )

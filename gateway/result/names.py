@@ -16,4 +16,4 @@ EXPORT_FORMATS: Final = ("urdf", "json", "abb", "kuka", "ur", "fanuc", "yaskawa"
 CERTIFICATE_FORMAT: Final = "dcc"
 #: What a recording is exported as: its measured table, or every sample by `gateway.formats`.
 TABLE_FORMAT: Final = "csv"
-RECORDING_FORMATS: Final = (TABLE_FORMAT, "mcap", "parquet", "mf4", "blf")
+RECORDING_FORMATS: Final = (TABLE_FORMAT, "mcap", "parquet", "mf4", "blf", "h5")

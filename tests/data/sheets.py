@@ -21,6 +21,9 @@ def write_sheet(drive: FakeDrive, path: Path) -> Path:
     about.vendor_number, about.product_number = (drive.store.number((0x1018, sub)) for sub in (1, 2))
     about.revision_number = drive.store.number((0x1018, 3))
     dictionary.node_id = drive.node_id
+    for index in list(dictionary):
+        if drive.node.sdo.refuse(index, 0):
+            del dictionary[index]
     for index, thing in dictionary.items():
         for variable in [thing] if not hasattr(thing, "values") else thing.values():
             value = drive.store.find(index, variable.subindex).get()

@@ -530,7 +530,7 @@ OTHERS = [
         "bus: no drive there",
         ("scan", "--bus", UNUSED_BUS, "--listen", "0.05"),
         4,
-        "no node answered; check supply, wiring, termination and bit rate",
+        "no node answered; check supply, wiring, termination, bit rate",
         nothing,
     ),
 ]

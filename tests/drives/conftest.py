@@ -137,6 +137,8 @@ class Slave:
         self.tpdo_delay_s: dict[int, float | None] = {}
         self.tpdo_cut = 8
         self.refused: dict[tuple[int, int], int] = {}
+        #: Step to which a written value is rounded, down or, below zero, up.
+        self.rounded: dict[tuple[int, int], int] = {}
         #: What becomes of an SDO answer: (request, answer) -> [(delay, answer), ..].
         self.reply: Reply = lambda request, answer: [(0.001, answer)]
         #: Sends its heartbeat (0x1017).
@@ -425,7 +427,7 @@ class Slave:
             return
         (value,) = struct.unpack("<" + CODES[kind], request[4 : 4 + size])
         self.written.append((*address, value))
-        self.values[address] = value
+        self.values[address] = value - value % self.rounded.get(address, 1)
         if address == (0x6040, 0):
             self.controlwords.append(value)
             self._control(value)

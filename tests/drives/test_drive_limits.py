@@ -8,7 +8,7 @@ import pytest
 
 from drives.drive import DriveCommand
 from drives.drive_limits import limit_torque
-from drives.errors import CommandRefused, DriveFault, ProfileError
+from drives.errors import CommandRefused, ConfigurationRefused, DriveFault, ProfileError
 from drives.group import DriveGroup, GroupOptions
 from drives.profile_file import load_profile
 from drives.values import AxisSetup
@@ -183,6 +183,34 @@ def test_the_torque_limit_is_never_raised(bus, slave, generic, limit_nm, allowed
     profile = generic if allowed else allowing(generic, without=(0x6072,))
     ready(bus, profile, torque_limit_nm=limit_nm).close()
     assert slave.values[0x6072, 0] == after
+
+
+@pytest.mark.parametrize(
+    ("address", "step", "after"),
+    [
+        ((0x607D, 1), 1000, -32000),
+        ((0x6072, 0), -50, 650),
+        ((0x1017, 0), 8, 96),
+        ((0x1016, 1), 7, (127 << 16 | 500) // 7 * 7),
+    ],
+)
+def test_a_drive_may_round_what_is_written(bus, slave, generic, address, step, after):
+    slave.rounded = {address: step}
+    limits = {"position_limit_rad": (1000 * COUNT_RAD, 1100 * COUNT_RAD), "torque_limit_nm": 1.2341}
+    with ready(bus, allowing(generic, 0x607D), **limits) as group:
+        group.enable()
+        assert slave.values[address] == after
+
+
+@pytest.mark.parametrize(
+    ("address", "step"),
+    [((0x607D, 1), 200_000), ((0x6072, 0), 100), ((0x6072, 0), -100), ((0x1017, 0), 60), ((0x1016, 1), 300)],
+)
+def test_a_drive_that_keeps_another_value_than_a_rounded_one_is_refused(bus, slave, generic, address, step):
+    slave.rounded = {address: step}
+    limits, refused = {"position_limit_rad": (0.0, 0.1), "torque_limit_nm": 1.2341}, f"{address[0]:04X}"
+    with pytest.raises(ConfigurationRefused, match=refused), ready(bus, allowing(generic, 0x607D), **limits) as group:
+        group.enable()
 
 
 def test_a_later_run_may_need_more_but_never_more_than_was_found(bus, slave, generic, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from drives.drive import DriveCommand
 from drives.errors import CommandRefused, DriveFault, ProfileError, SeveralFailures
 from drives.group import DriveGroup, GroupOptions
+from drives.pdo import OFFSETS
 from drives.profile_file import load_profile, parse_profile
 from drives.values import AxisSetup
 
@@ -31,7 +32,7 @@ def slaves(add_slaves):
 
 @pytest.fixture
 def group(bus, slaves, generic):
-    setups = [AxisSetup(node_id, generic, 0.5, MAX_RAD_S, feedforward=True) for node_id in (1, 2)]
+    setups = [AxisSetup(node_id, generic, 0.5, MAX_RAD_S, offsets=tuple(OFFSETS)) for node_id in (1, 2)]
     with DriveGroup(bus, setups, PERIOD_S) as group:
         group.connect()
         group.configure()
@@ -109,7 +110,7 @@ def test_restore_takes_the_second_rpdo_back(group, slaves):
 
 def test_a_run_without_feedforward_clears_what_a_crashed_one_has_left(bus, slaves, generic, setups, tmp_path):
     options = GroupOptions(ledger_path=tmp_path / "ledger.json")
-    fed = [AxisSetup(node_id, generic, 0.5, MAX_RAD_S, feedforward=True) for node_id in (1, 2)]
+    fed = [AxisSetup(node_id, generic, 0.5, MAX_RAD_S, offsets=tuple(OFFSETS)) for node_id in (1, 2)]
     with DriveGroup(bus, fed, PERIOD_S, options=options) as group:
         group.connect()
         group.configure()
@@ -131,7 +132,7 @@ def test_an_offset_that_another_tool_has_left_is_cleared(bus, slaves, setups):
 
 def test_a_drive_without_the_object_is_refused_before_it_is_enabled(bus, add_slaves, generic):
     add_slaves(2)
-    setups = [AxisSetup(node_id, generic, 0.5, MAX_RAD_S, feedforward=True) for node_id in (1, 2)]
+    setups = [AxisSetup(node_id, generic, 0.5, MAX_RAD_S, offsets=tuple(OFFSETS)) for node_id in (1, 2)]
     with DriveGroup(bus, setups, PERIOD_S) as group:
         group.connect()
         with pytest.raises(SeveralFailures, match="60B1"):
@@ -140,7 +141,7 @@ def test_a_drive_without_the_object_is_refused_before_it_is_enabled(bus, add_sla
 
 def test_a_profile_without_feedforward_is_refused():
     with pytest.raises(ProfileError, match=r"kollmorgen-akd-x00606 has no \[feedforward\]"):
-        AxisSetup(1, load_profile("kollmorgen-akd-x00606"), 0.5, MAX_RAD_S, feedforward=True)
+        AxisSetup(1, load_profile("kollmorgen-akd-x00606"), 0.5, MAX_RAD_S, offsets=tuple(OFFSETS))
 
 
 @pytest.mark.parametrize(

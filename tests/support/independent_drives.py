@@ -28,7 +28,7 @@ class IndependentDrives:
         INTERFACE:CHANNEL[,key=value]...
     nodes : sequence of int
         Node ids of the axes in their order.
-    variant : "zero-extended" or "no-size"
+    variant : "zero-extended", "no-size" or "interpolated"
     """
 
     def __init__(self, bus: str, nodes: Sequence[int] = SIX, variant: str = "zero-extended") -> None:

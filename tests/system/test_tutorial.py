@@ -1,4 +1,4 @@
-"""Tutorials, typed line by line: each command of a page works, and the load is within its interval.
+"""Tutorials and the first day on hardware, typed line by line: each command works, results are within their interval.
 
 The port of the bus is a free one, because tests run in parallel. The arm of the example is measured in less time.
 """
@@ -11,6 +11,8 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
+import zipfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -24,7 +26,7 @@ from tests.support.rigs.pacing import measured_shortly
 from tests.system.conftest import command
 
 ROOT = Path(__file__).parents[2]
-TUTORIALS = ROOT / "docs" / "tutorial"
+DOCS = ROOT / "docs"
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -68,7 +70,7 @@ def typed_page(
     typed = []
     with ExitStack() as stack:
         drives = None
-        for block in blocks((TUTORIALS / page).read_text(encoding="utf-8").replace(port, free)):
+        for block in blocks((DOCS / page).read_text(encoding="utf-8").replace(port, free)):
             if block.kind == "toml":
                 Path(block.lines[0].removeprefix("# ")).write_text("\n".join(block.lines), encoding="utf-8")
                 continue
@@ -92,17 +94,17 @@ def typed_page(
 @pytest.mark.slow
 def test_your_own_robot_as_typed(tmp_path, monkeypatch):
     (tmp_path / "out" / "own").mkdir(parents=True)
-    typed = typed_page("your-own-robot.md", "43117", tmp_path, monkeypatch, ("own",))
+    typed = typed_page("tutorial/your-own-robot.md", "43117", tmp_path, monkeypatch, ("own",))
     assert typed[:8] == ["scan", "profiles", "cell", "check", "check", "record", "record", "estimate"]
     (load,) = json.loads((tmp_path / "out" / "own" / "result.json").read_text(encoding="utf-8"))["loads"]
     (true,) = read_payloads(tmp_path / "examples" / "own" / "bench" / "payload.toml").values()
-    assert f"weighs {true.mass_kg:g} kg" in (TUTORIALS / "your-own-robot.md").read_text(encoding="utf-8")
+    assert f"weighs {true.mass_kg:g} kg" in (DOCS / "tutorial" / "your-own-robot.md").read_text(encoding="utf-8")
     assert abs(load["mass_kg"] - true.mass_kg) < 1.96 * load["mass_std_kg"]
 
 
 @pytest.mark.slow
 def test_arrival_to_signature_as_typed(tmp_path, monkeypatch):
-    typed = typed_page("arrival-to-signature.md", "43114", tmp_path, monkeypatch, ("small",))
+    typed = typed_page("tutorial/arrival-to-signature.md", "43114", tmp_path, monkeypatch, ("small",))
     assert typed[:4] == ["check", "drive", "record", "record"]
     assert typed[-4:] == ["accept", "report", "export", "replay"]
     out = tmp_path / "out" / "arrival"
@@ -113,3 +115,21 @@ def test_arrival_to_signature_as_typed(tmp_path, monkeypatch):
     assert "NOT TRACEABLE" not in certificate
     assert (out / "cell.calibration.toml").is_file()
     assert len(list((out / "drives").glob("J*.json"))) == 6
+
+
+@pytest.mark.slow
+def test_first_real_drive_as_typed(tmp_path, monkeypatch):
+    typed = typed_page("how-to/first-real-drive.md", "43118", tmp_path, monkeypatch, ("bench", "own"))
+    assert typed[:7] == ["doctor", "scan", "profiles", "cell", "check", "check", "move"]
+    assert typed[7:12] == ["record", "record", "record", "move", "calibrate"]
+    assert typed[-2:] == ["estimate", "replay"]
+    out, bench = tmp_path / "out" / "bench", tmp_path / "examples" / "bench" / "cell.toml"
+    (stored,) = tomllib.loads((out / "cell.calibration.toml").read_text(encoding="utf-8"))["arm"][0]["axis"]
+    true = tomllib.loads(bench.read_text(encoding="utf-8"))["arm"][0]["axis"][0]["torque_constant_nm_per_a"]["value"]
+    assert f"{true:g} Nm/A" in (DOCS / "how-to" / "first-real-drive.md").read_text(encoding="utf-8")
+    assert stored["std_percent"] < 1
+    assert abs(stored["torque_constant_nm_per_a"] / true - 1) < 0.0196 * stored["std_percent"]
+    serial = stored["serial_number"]
+    with zipfile.ZipFile(out / "first-day.zip") as sent:
+        for content in map(sent.read, sent.namelist()):
+            assert not any(each in content for each in (str(serial).encode(), f"{serial:X}".encode(), bytes(tmp_path)))

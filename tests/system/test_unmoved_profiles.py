@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 from drives.profile_file import list_profiles, load_profile
@@ -30,20 +28,3 @@ def test_every_motion_is_refused_with_the_reason_before_anything_is_sent(name, p
     assert f"J1, J2, J3, J4, J5, J6: profile {name} refuses motion" in said
     assert all(obstacle in said for obstacle in load_profile(name).obstacles)
     assert not place.run.exists()
-
-
-@pytest.mark.parametrize("name", ["nanotec", "technosoft-ipos8010", "novanta-eve-net-c"])
-def test_scan_and_check_read_such_a_drive(name, place, serve, gateway):
-    """One whose torque is assumed, one whose encoder is, and one that watches node guarding."""
-    with_profile(place, name)
-    bus = serve().bus
-    scanned = gateway("scan", "--bus", bus, "--listen", 0.05)
-    assert scanned.exit_code == 0, scanned.output
-    checked = gateway("check", place.cell, "--bus", bus, "--json", "-")
-    assert checked.exit_code == 7, checked.output
-    findings = json.loads(checked.stdout)["findings"]
-    refused = [each for each in findings if each["severity"] == "fail" and "refuses motion" in each["what"]]
-    assert {each["where"].split()[0] for each in refused} == {f"J{joint}" for joint in range(1, 7)}
-    assert all(each["advice"] for each in refused)
-    said = " ".join(each["what"] for each in findings if each["severity"] == "fail" and each not in refused)
-    assert "loss of the master" not in said

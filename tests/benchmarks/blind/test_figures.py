@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.blind.figures import (
-    bus_figures,
     confusion,
     credit,
     figures,
@@ -52,14 +51,3 @@ def test_figures_say_what_is_met():
     assert out["both named, two effects of strength >= 3"]["value"] == 0.0
     assert out["95 % intervals hold the truth"]["value"] == pytest.approx(0.95)
     assert ("two effects", "one of them", 1) in confusion(cells)
-
-
-def test_cells_over_the_bus_have_to_end_and_to_name_exactly_what_is_there():
-    done = cell("one", [TILT], [TILT], "explained") | {"finished": True, "time_s": 30.0}
-    broken = cell("clean", [], [], "none") | {"finished": False, "inside": [], "time_s": 2.0}
-    out = bus_figures([done, broken])
-    assert out["bus: from start to report"]["value"] == 0.5
-    assert out["bus: exactly what is there named"]["value"] == 0.5
-    assert out["bus: 95 % intervals hold the truth"]["met"]
-    assert out["bus: time of one cell"]["interval"] == [2.0, 30.0]
-    assert bus_figures([]) == {}

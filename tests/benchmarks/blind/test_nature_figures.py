@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.blind.mechanisms import MECHANISMS
-from benchmarks.blind.nature_figures import effect_figures, nuisance_figures
+from benchmarks.blind.nature_figures import effect_figures
 from benchmarks.nature.nature_cell import NAMED
 from benchmarks.nature.unmodelled import UNMODELLED
 from benchmarks.nature.wiring import WIRING
@@ -42,17 +42,6 @@ def test_every_mechanism_has_its_names_and_every_name_is_one_of_the_library():
     assert {name for names in MECHANISMS.values() for name in names} <= set(LIBRARY) | mistakes
     assert all(MECHANISMS[name] for name in NAMED | WIRING)
     assert not any(MECHANISMS[name] for name in UNMODELLED)
-
-
-def test_coverage_leaves_out_what_was_not_given_and_misstated_priors():
-    unknown = cell(diagnosed={"inside": [float("nan")] * 4, "width": [float("nan")] * 4}, estimated=None)
-    out = nuisance_figures([cell(), unknown, cell(misstated=True, found=[("base_tilt", [])], verdict="explained")])
-    assert out["diagnose: 95 % interval holds mass"]["unit"] == "of 1"
-    assert out["estimate: 95 % intervals hold the truth, all four"]["value"] == 0.75
-    assert out["diagnose: width over the oracle's"]["value"] == pytest.approx(1.15)
-    assert out["something named where only nuisances are there"]["value"] == 0.0
-    assert out["something named, priors misstated"]["value"] == 1.0
-    assert out["base: diagnose holds z"]["value"] == 0.0
 
 
 def test_one_several_and_strange_ones_are_counted_apart():

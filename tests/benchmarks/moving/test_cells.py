@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.moving.cells import MovingCell, draw_cell
 from benchmarks.moving.excitations import USED, random_series
-from benchmarks.moving.figures import figures
 from benchmarks.moving.oracle import about_centre, oracle_std
 from benchmarks.moving.scores import drawn_truth, load_truth, score
 from benchmarks.moving.timing import plain_least_squares
@@ -20,7 +18,6 @@ from benchmarks.nature.moving_arm import MovingArm, draw_moving_arm, moving_arm
 from benchmarks.nature.moving_cell import PeriodicMotion
 from gateway.estimate import run
 from gateway.model.robot import robot_from_urdf
-from gateway.result.result import AxisMotion, LoadResult, Result
 from sim.engine import Engine
 from sim.urdf import read_chain
 
@@ -91,47 +88,6 @@ def test_rows_of_a_cell_are_bare_and_loaded_periods():
     assert cell.knowledge.gain_std == tuple(cell.arm.gain_std)
     assert draw_cell(1, "known", periods=2).knowledge.gain_std == (0.0,) * 6
     assert draw_cell(1, "ratios", periods=2).knowledge.gain_std is None
-
-
-def idle_nm(few: Few) -> NDArray[np.float64]:
-    """Coulomb friction of a motor that turns with nothing to carry."""
-    friction = few.arm.friction
-    return friction.coulomb_nm * friction.cold(np.array([3100.0]))[0] / friction.driving
-
-
-def said(few: Few, off: float) -> dict:
-    """Score of a result that is `off` standard deviations of 1 % away in everything."""
-    tool, truth = few.arm.tool, load_truth(few.arm.tool)
-    std = 0.01 * np.abs(truth)
-    value = truth + off * std
-    load = LoadResult(
-        "tool", float(value[0]), float(std[0]), tuple(value[1:4]), tuple(std[1:4]),
-        inertia_kg_m2=tuple(value[4:]), inertia_std_kg_m2=tuple(std[4:]),
-    )  # fmt: skip
-    axes = tuple(
-        AxisMotion(k + 1, coulomb_nm=float(true) * (1.0 + 0.01 * off), coulomb_std_nm=0.01 * float(true))
-        for k, true in enumerate(idle_nm(few))
-    )
-    result = Result("drawn", loads=(load,), motion=axes)
-    oracle = {"load": std} | {
-        name: np.ones(6)
-        for name in ("coulomb_nm", "viscous_nm_s_rad", "rotor_inertia_kg_m2", "load_friction", "delay_s")
-    }
-    assert tool.mass_kg == truth[0]
-    return {"seed": 0, "tier": "known", "refused": ""} | score(
-        drawn_truth(few.arm, few.motion, few.start_s, oracle), result
-    )
-
-
-def test_figures_say_how_far_off_the_results_are(few):
-    found = figures([said(few, 0.4)] * 3)
-    assert found["gain known: median error of the mass"]["value"] == pytest.approx(0.4)
-    assert found["gain known: median error of the mass"]["met"]
-    assert found["gain known: Coulomb friction: median error"]["value"] == pytest.approx(0.4, abs=0.05)
-    assert found["gain known: standard deviation over the oracle's, inertia"]["value"] == pytest.approx(1.0)
-    assert "gain known: viscous friction: median error" not in found
-    wrong = figures([said(few, 3.0)] * 3)
-    assert not wrong["gain known: median error of the mass"]["met"]
 
 
 def test_plain_least_squares_finds_the_load_of_a_quiet_run():

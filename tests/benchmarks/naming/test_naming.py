@@ -2,49 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.naming.answers import Answer, read_answers, write_answers
-from benchmarks.naming.cells import TRUTH, drawn, read_cells, write_cells
+from benchmarks.naming.answers import Answer
+from benchmarks.naming.cells import read_cells, write_cells
 from benchmarks.naming.methods import Columns, columns_of, greedy, residual_plot
 from benchmarks.naming.score import ROWS, scores
 
 #: A baseline: columns and seed -> names with joints.
 Method = Callable[[Columns, int], tuple[tuple[str, tuple[int, ...]], ...]]
-
-
-def _cells(tmp_path: Path, seeds: range) -> Path:
-    write_cells(seeds, tmp_path / "cells", tmp_path / "truth")
-    return tmp_path
-
-
-def test_cell_is_read_as_drawn_and_holds_no_truth(tmp_path: Path) -> None:
-    folder = _cells(tmp_path, range(50_001, 50_002))
-    (cell,) = read_cells(folder / "cells")
-    truth = drawn(50_001)
-    assert cell.urdf == truth.stated.urdf
-    assert cell.link_std == pytest.approx(truth.stated.link_std)
-    assert len(cell.table.q_rad) == 2 * len(truth.visits)
-    written = {path.name for path in (folder / "cells").rglob("*") if path.is_file()}
-    assert written == {"robot.urdf", "table.csv", "statements.json"}
-    entry = json.loads((folder / "truth" / TRUTH).read_text(encoding="utf-8"))
-    assert entry["load"][0] == pytest.approx(truth.arm.tool.mass_kg)
-    assert [each["mechanism"] for each in entry["effects"]] == [each.mechanism for each in truth.effects]
-
-
-def test_answers_are_read_as_written(tmp_path: Path) -> None:
-    answers = [
-        Answer("cell0000", (("balancer_spring", (2,)),), False, (5.0, 0.1, 0.0, 0.2), (0.1, 0.01, 0.01, 0.01), 1.5),
-        Answer("cell0001", (), False, None, None, 0.5),
-    ]
-    write_answers(answers, tmp_path / "a.jsonl")
-    assert list(read_answers(tmp_path / "a.jsonl").values()) == answers
 
 
 def _truth(kind: str, *effects: tuple[str, int, float]) -> dict[str, Any]:
@@ -79,7 +49,8 @@ def test_scorer_counts_names_errors_and_coverage_by_hand() -> None:
 
 @pytest.fixture(scope="module")
 def clean_columns(tmp_path_factory: pytest.TempPathFactory) -> Columns:
-    folder = _cells(tmp_path_factory.mktemp("naming"), range(50_000, 50_001))
+    folder = tmp_path_factory.mktemp("naming")
+    write_cells(range(50_000, 50_001), folder / "cells", folder / "truth")
     (cell,) = read_cells(folder / "cells")
     return columns_of(cell)
 

@@ -122,6 +122,13 @@ def test_unknown_counts_refuse_motion(device):
     assert profile_of(device(STRANGE), **TORQUE, counts_per_revolution=4096).obstacles == ()
 
 
+@pytest.mark.parametrize(("counts", "turns", "asks"), [(1, 1, True), (1, None, True), (4096, 1, False)])
+def test_counts_that_a_drive_answers_as_one_for_one_are_asked(device, counts, turns, asks):
+    identity = Identity(3, 0x20192, 0x1234, 0x77, 0x30000, 9, "x", "h", "1.2")
+    profile = profile_of(Device(device(GENERIC).sheet, identity, {(0x608F, 1): counts, (0x608F, 2): turns}), **TORQUE)
+    assert any("counts per motor revolution" in each for each in profile.obstacles) is asks
+
+
 def test_counts_stand_in_an_object_of_the_make(device):
     text = STRANGE + "\n[3000]\nParameterName=r\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\nPDOMapping=0\n"
     profile = profile_of(device(text), **TORQUE, counts_object="0x3000")
@@ -200,6 +207,16 @@ def test_a_drive_that_states_interpolated_position_alone_is_moved_in_it(device):
     with_record = profile_of(device("\n".join([text, *lines, "PDOMapping=1"])), **TORQUE)
     assert (with_record.state_machine.cyclic_mode, with_record.obstacles) == (7, ())
     assert "0x60C1" in profile_of(device(text), **TORQUE).no_motion[0]
+
+
+def test_what_a_manual_says_of_mode_statusword_and_warnings_is_taken(device):
+    typed = {"cyclic_mode": "7", "mode_before_enable": "false", "ignored_status": "0x0800"}
+    profile = profile_of(
+        device(), **with_answers(ProfileAnswers(), typed | {"warning_codes": "0x4310, 0x4390"}).model_dump()
+    )
+    machine = profile.state_machine
+    assert (machine.cyclic_mode, machine.mode_before_enable, machine.ignored_status) == (7, False, 0x0800)
+    assert [(entry.code, entry.warning) for entry in profile.emcy] == [(0x4310, True), (0x4390, True)]
 
 
 def test_a_drive_with_node_guarding_alone_watches_that(device):

@@ -39,12 +39,14 @@ def test_interfaces_are_named_with_driver_state_and_bit_rate(tmp_path, rates):
     interface(tmp_path, "can1", "down", "gs_usb")
     interface(tmp_path, "can2", "up", "gs_usb")
     interface(tmp_path, "can3", "up", "gs_usb")
+    rates["can5"] = {"state": "ERROR-PASSIVE", "bittiming": {"bitrate": 500_000}}
     interface(tmp_path, "can4", "up", "gs_usb")
+    interface(tmp_path, "can5", "up", "gs_usb")
     (tmp_path / "sys/class/net/can4/tx_queue_len").write_text("10\n")
     interface(tmp_path, "vcan0", "unknown")
     interface(tmp_path, "eth0", "up", "e1000", kind="1")
     found = {each.where: each for each in can_interfaces(tmp_path, kernel=True)}
-    assert set(found) == {"can0", "can1", "can2", "can3", "can4", "vcan0"}
+    assert set(found) == {"can0", "can1", "can2", "can3", "can4", "can5", "vcan0"}
     assert (found["can0"].severity, found["can0"].what) == ("ok", "driver peak_usb, up, 1000000 bit/s")
     assert found["can1"].severity == "warn"
     assert found["can1"].advice == "sudo ip link set can1 txqueuelen 1000 up type can bitrate 1000000"
@@ -52,6 +54,8 @@ def test_interfaces_are_named_with_driver_state_and_bit_rate(tmp_path, rates):
     assert (found["can3"].severity, found["can4"].severity) == ("warn", "warn")
     assert "500000 bit/s, controller BUS-OFF, restart-ms 0" in found["can3"].what
     assert "txqueuelen" in found["can4"].advice
+    assert found["can5"].severity == "warn"
+    assert "termination" in found["can5"].advice
     assert "virtual, no physical bus" in found["vcan0"].what
 
 

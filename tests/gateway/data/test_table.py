@@ -320,7 +320,7 @@ def test_the_number_of_axes_is_that_of_the_columns(tmp_path, axes):
 @pytest.mark.parametrize(
     ("names", "says"),
     [
-        (["q1_rad", "tau1_nm"], "columns of 1 axes; 2 to 8"),
+        (["load"], "columns of 0 axes; 1 to 8"),
         (["x_own"], "columns of 0 axes"),
         (["q1_rad", "q2_rad", "tau3_nm"], "'q3_rad' is missing"),
         ([*(f"q{i}_rad" for i in range(1, 10)), "tau1_nm"], "unknown column 'q9_rad'"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from gateway.cli import main
+from gateway.data.recording import reader
 from tests.data.recordings import several
 from tests.data.wrong_inputs import recording
 
@@ -255,6 +257,38 @@ def test_blf_holds_the_frames_of_the_trace(tmp_path, suffix):
     assert np.abs(gaps).max() < 2e-6
 
 
+def test_a_recording_to_pass_on_holds_every_sample_and_no_serial_number_or_folder(tmp_path):
+    path, out = several(tmp_path / "run.h5", "four"), tmp_path / "passed.h5"
+    serial = 0x51AB51
+    with h5py.File(path, "r+") as file:
+        text = file.attrs["cell"].replace('robot = "', 'robot = "/home/person/')
+        assert "/home/person/" in text
+        for name in ("a/drive.toml", "b/drive.toml"):
+            text = text.replace('"generic-cia402"', f'"{name}"', 1)
+        profiles = json.loads(file.attrs["profiles"])
+        plain = profiles["generic-cia402"]
+        profiles |= {"a/drive.toml": plain + "# first", "b/drive.toml": plain + "# second"}
+        file.attrs["profiles"] = json.dumps(profiles)
+        file.attrs["cell"] = f"{text}\n# J1: node 1, serial 0x{serial:X}, firmware 2"
+        for name in ("identities", "ledger"):
+            file["arms/four"].attrs[name] = json.dumps([{"node_id": 1, "serial_number": serial}])
+    done = CliRunner().invoke(main, ["export", str(path), "--format", "h5", "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    content = out.read_bytes()
+    private = (b"person", str(serial).encode(), b"51AB51", serial.to_bytes(4, "little"))
+    assert not any(each in content for each in private)
+    assert b"firmware 2" in content
+    for (_, _, before), (_, _, after) in zip(groups(path), groups(out), strict=True):
+        assert dict(after.attrs).keys() == dict(before.attrs).keys()
+        assert {name: item[()].tobytes() for name, item in after.items()} == {
+            name: item[()].tobytes() for name, item in before.items()
+        }
+    passed = reader.read(out)
+    assert passed.arm("four").identities == [{"node_id": 1, "serial_number": None}]
+    named = [passed.profiles[name] for name in re.findall('profile = "(.*)"', passed.cell_text)]
+    assert [text.rsplit("# ", 1)[1] for text in named[:2]] == ["first", "second"]
+
+
 def test_frames_are_not_made_up(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = several(tmp_path / "run.h5", "four")
@@ -269,7 +303,7 @@ def test_frames_are_not_made_up(tmp_path, monkeypatch):
     assert (done.exit_code, "run.blf: holds no frame" in done.stderr) == (3, True), done.output
     trace_beside(path)
     done = CliRunner().invoke(main, [*arguments, "--load", "none"])
-    assert (done.exit_code, "frames are of the complete run" in done.stderr) == (3, True), done.output
+    assert (done.exit_code, "blf is of the complete run" in done.stderr) == (3, True), done.output
     assert not (tmp_path / "x.blf").exists()
 
 

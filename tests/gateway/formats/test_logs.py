@@ -403,7 +403,7 @@ SPEEDS = '[[column]]\nlog = "actual_qd_{}"\ntable = "qd{}_rad_s"\nunit = "rad/s"
         (SPEEDS, "[motion]\ncutoff_hz = 10\n", "5 rows are too few for the speeds of [motion]: 20 at least"),
         ('"gripper"', '"empty"', "map.toml line 7: load 'empty' denotes the unloaded arm"),
         ("axes = 6", "axes = ", "map.toml line 1"),
-        ("axes = 6", "axes = 1", "map.toml line 1: axes = 1 must be at least 2"),
+        ("axes = 6", "axes = 0", "map.toml line 1: axes = 0 must be at least 1"),
     ],
 )
 def test_a_map_that_cannot_be_used_is_refused_with_its_line(tmp_path, old, new, says):

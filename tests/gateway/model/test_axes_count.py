@@ -1,4 +1,4 @@
-"""Arms of two to eight axes: frames and rows against pinocchio, base parameters against singular values."""
+"""Arms of one to eight axes: frames and rows against pinocchio, base parameters against singular values."""
 
 from types import SimpleNamespace
 
@@ -15,7 +15,7 @@ from tests.cells import CELLS
 from tests.data.arms import link_parameters, peer_of, states, torque_of, urdf_of
 
 WITHIN_LINK = np.array([0, 1, 2, 3, 4, 5, 7, 6, 8, 9])
-TEXTS = {f"random {axes}": urdf_of(np.random.default_rng(axes), axes=axes) for axes in (2, 3, 4, 5, 7, 8)}
+TEXTS = {f"random {axes}": urdf_of(np.random.default_rng(axes), axes=axes) for axes in (1, 2, 3, 4, 5, 7, 8)}
 TEXTS |= {cell.name: cell.urdf for cell in CELLS}
 
 
@@ -50,7 +50,7 @@ def test_rows_are_those_of_pinocchio(text, gravity):
     assert full.shape[1:] == (robot.axes, 10 * robot.axes)
     assert rest.shape[1:] == (robot.axes, 4 * robot.axes)
     for n in range(0, len(q), 20):
-        oracle = pinocchio.computeJointTorqueRegressor(model, data, q[n], qd[n], qdd[n])
+        oracle = np.atleast_2d(pinocchio.computeJointTorqueRegressor(model, data, q[n], qd[n], qdd[n]))
         np.testing.assert_allclose(full[n], oracle[:, from_pinocchio(robot.axes)], atol=1e-11 * np.abs(oracle).max())
     torque, still = torque_of(model, q, qd, qdd), torque_of(model, q)
     np.testing.assert_allclose(full @ link_parameters(robot), torque, rtol=1e-9, atol=1e-9)
@@ -117,7 +117,6 @@ def test_positions_of_another_count_are_refused_by_both_counts():
         gravity_regressor(CELLS[0].robot, np.zeros((3, 6)))
 
 
-@pytest.mark.parametrize("axes", [1, 9])
-def test_too_few_and_too_many_axes_are_refused(axes):
-    with pytest.raises(ConfigError, match=rf"has {axes} moving joints in its chain, 2 to 8"):
-        robot_from_urdf(urdf_of(np.random.default_rng(0), axes=axes), "arm.urdf")
+def test_too_many_axes_are_refused():
+    with pytest.raises(ConfigError, match="has 9 moving joints in its chain, 1 to 8"):
+        robot_from_urdf(urdf_of(np.random.default_rng(0), axes=9), "arm.urdf")

@@ -31,7 +31,7 @@ def test_each_drive_gets_node_profile_constant_and_the_speed_of_its_motor(small_
         assert setup.profile.name == axis.profile
         assert setup.torque_constant_nm_per_a == axis.torque_constant_nm_per_a.value
         assert setup.max_motor_speed_rad_s == pytest.approx(abs(axis.gear_ratio.value) * axis.speed_limit_rad_s)
-        assert not setup.feedforward
+        assert not setup.offsets
 
 
 def test_a_motor_that_turns_with_two_joints_may_be_as_fast_as_both_together(small_cell):

@@ -228,7 +228,8 @@ def test_efforts_that_an_exporter_filled_in_are_marked_and_refuse_motion_until_c
     axes = axes_of(folder).axis
     assert {axis.torque_limit_nm for axis in axes} == {float(effort)}
     assert all(axis.torque_limit_is_assumed for axis in axes)
-    refused = CliRunner().invoke(main, ["move", str(folder / "cell.toml"), "--to", "home", "--yes"])
+    words = ("--bus", f"virtual:effort-{effort}", "--to", "home", "--yes")  # the lock of a bus is that of the computer
+    refused = CliRunner().invoke(main, ["move", str(folder / "cell.toml"), *words])
     assert refused.exit_code == 3, refused.output
     assert "torque_limit_nm is not confirmed (J1" in " ".join(refused.stderr.split())
     confirmed = with_answers(folder, ENOUGH + "torque_limit_nm = [140, 140, 75, 26, 22, 14]\n", "--force")

@@ -87,6 +87,9 @@ def test_a_healthy_drive_passes_every_rule():
         ({"max_torque": 0}, "fail", "produces no torque"),
         ({"rated_torque": 1_270_000}, "fail", "another unit"),
         ({"max_torque": 500}, "warn", "saturate"),
+        ({"max_torque": 100}, "fail", "too little"),
+        ({"mode": None}, "fail", "the EDS of this firmware"),
+        ({"statusword": 0x0E40}, "warn", "ignored_status = 0x0800"),
         ({"max_torque": 500}, "warn", "64 Nm at the joint"),  # 0.5 of 1.27 Nm over a ratio of 100
         ({"polarity": 0xC0}, "fail", "inverts position"),
         ({"gear_motor_revolutions": 100}, "fail", "applies a gear ratio"),
@@ -182,6 +185,11 @@ def test_safety_chain_and_reference_where_the_profile_names_them(inputs, referen
 def test_a_torque_limit_of_zero_is_refused_where_the_torque_is_scaled_as_a_current(name):
     items = worst(judge_settings(axis(profile=load_profile(name)), readings(max_torque=0)))
     assert any("max_torque" in item.where and "no torque" in item.what for item in items)
+
+
+def test_a_torque_limit_that_holds_no_arm_is_refused_where_the_torque_is_a_current():
+    items = judge_settings(axis(profile=load_profile("nanotec")), readings(max_torque=100) | {(0x203B, 1): 4000})
+    assert any("max_torque" in item.where and "too little" in item.what for item in worst(items))
 
 
 def identity(**changes):

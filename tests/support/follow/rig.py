@@ -162,7 +162,7 @@ def followed(handle: RunningSimulation, cell: Path, path: Path, load: Path, *nam
     prepared = prepare(context.loaded, arm_named(context.loaded), path, load)
     settings = (*prepared.settings, velocity_alone(prepared))
     chosen = tuple(setting for setting in settings if setting.name in names)
-    with context.opened(prepared.arm, feedforward=True) as opened:
+    with context.opened(prepared.arm, offsets=("velocity", "torque")) as opened:
         tracks = follow(opened.arm, prepared.workspace, prepared.path, chosen, lambda what, done: None)
     return result_of(replace(prepared, settings=chosen), tracks)
 

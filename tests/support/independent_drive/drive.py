@@ -19,7 +19,9 @@ from tests.support.independent_drive.plant import Arm
 I8, I16, I32 = Type.INTEGER8, Type.INTEGER16, Type.INTEGER32
 U8, U16, U32 = Type.UNSIGNED8, Type.UNSIGNED16, Type.UNSIGNED32
 VENDOR_ID = 0x0000_0D5A
-CYCLIC_SYNC_POSITION = 8
+INTERPOLATED_POSITION, CYCLIC_SYNC_POSITION = 7, 8
+#: Controlword of interpolated position mode: enable interpolation.
+ENABLE_INTERPOLATION = 0x10
 INVALID_PDO = 1 << 31
 #: Motor speed of one bit of 0x606C: 0.1 rpm; ramps count in it per second.
 SPEED_RAD_S = 2.0 * math.pi / 600.0
@@ -46,11 +48,13 @@ class Variant:
     answer: Callable[[bytes], bytes]
     communication_error: int  # 0x1029:01: 0 = leaves OPERATIONAL, 1 = keeps its NMT state
     quick_stop: int  # 0x605A: 2 = ramp, then SWITCH ON DISABLED; 6 = ramp, then stays
+    mode: int = CYCLIC_SYNC_POSITION  # the only one in which it moves
 
 
 VARIANTS = {
     "zero-extended": Variant(0x0402_0001, b"AXD-40", zero_extended, 0, 2),
     "no-size": Variant(0x0402_0002, b"SVC-8", no_size, 1, 6),
+    "interpolated": Variant(0x0402_0003, b"IPD-7", zero_extended, 0, 2, INTERPOLATED_POSITION),
 }
 
 
@@ -63,7 +67,7 @@ class Drive:
         #: Joint speeds at which quick stops began [rad/s].
         self.stop_speeds: list[float] = []
         self._controlword = self._evaluated = 0
-        self._target_is_new = False
+        self._target_is_new = self._interpolates = False
         self._lag_s = 0.0
         self._watched: int | None = None
         self._watch_timer = self._power_timer = self._mode_timer = None
@@ -74,10 +78,13 @@ class Drive:
         self._fill(node_id, number)
         self._default_pdos()
         self._on("download", 0x6040, self._set_controlword)
-        self._on("download", 0x607A, self._set_target)
+        self._target = (0x60C1, 1) if variant.mode == INTERPOLATED_POSITION else (0x607A, 0)
+        self._on("download", self._target[0], self._set_target, self._target[1])
         self._on("download", 0x6060, self._set_mode)
         self._on("validate", 0x6060, self._refuse_mode)
         self._on("validate", 0x60C2, lambda value: None if value else self._abort(0x06090030, 0x60C2, 1), 1)
+        for sub in (1, 2):
+            self._on("validate", 0x60C2, lambda _value, sub=sub: self._keep_the_period(sub), sub)
         self._on("update", 0x1016, self._watch, 1)
         for pdo in range(4):
             for communication, mapping in ((0x1400 + pdo, 0x1600 + pdo), (0x1800 + pdo, 0x1A00 + pdo)):
@@ -136,15 +143,17 @@ class Drive:
             (0x60B0, I32, "rw", 0),
             (0x60B1, I32, "rw", 0),
             (0x60B2, I16, "rw", 0),
+            (0x60C0, I16, "rw", 0),
             (0x60F4, I32, "ro", 0),
             (0x60FD, U32, "ro", 0),
-            (0x6502, U32, "ro", 1 << CYCLIC_SYNC_POSITION - 1),
+            (0x6502, U32, "ro", 1 << variant.mode - 1),
         ):
             od[index] = Variable(kind, access, value)
         for index, entries in (
             (0x607D, ((I32, -(1 << 31)), (I32, (1 << 31) - 1))),
             (0x608F, ((U32, COUNTS_PER_REVOLUTION), (U32, 1))),
             (0x6091, ((U32, 1), (U32, 1))),
+            (0x60C1, ((I32, 0),)),
             (0x60C2, ((U8, 1), (I8, -2))),
         ):
             od[index] = Record()
@@ -265,8 +274,12 @@ class Drive:
     # -- mode, targets -----------------------------------------------------------------------------------------------
 
     def _refuse_mode(self, value: int) -> None:
-        if value not in (0, CYCLIC_SYNC_POSITION):
+        if value not in (0, self.variant.mode):
             self._abort(0x06090030, 0x6060)
+
+    def _keep_the_period(self, sub: int) -> None:
+        if self._interpolates and not self._restoring:
+            self._abort(0x08000022, 0x60C2, sub)
 
     def _set_mode(self, value: int) -> None:
         if value != self.od.read(0x6061, 0) and self._mode_timer is None:
@@ -288,8 +301,8 @@ class Drive:
         return self.od.read(0x60C2, 1) * 10.0 ** self.od.read(0x60C2, 2)
 
     def _follow(self) -> None:
-        """Cyclic synchronous position: the new target within one interpolation period, inside 0x607D."""
-        target = self.od.read(0x607A, 0)
+        """The new target, or record of 0x60C1, within one interpolation period, inside 0x607D."""
+        target = self.od.read(*self._target)
         low, high = self.od.read(0x607D, 1), self.od.read(0x607D, 2)
         self.axis.go(min(high, max(low, target)), self.period_s, self.arm.time_s)
 
@@ -306,14 +319,30 @@ class Drive:
         if state is not None:
             self._enter(state)
             self._show_state()
+        if self.variant.mode == INTERPOLATED_POSITION:
+            # Active by bit 4 in OPERATION ENABLED. The buffer holds one record; inactive, the drive moves by none.
+            was_active = self._interpolates
+            ready = (
+                self.state == ENABLED
+                and not self.axis.brake_closed
+                and self.od.read(0x6061, 0) == INTERPOLATED_POSITION
+            )
+            self._interpolates = ready and bool(word & ENABLE_INTERPOLATION)
+            if self._interpolates and not was_active:
+                self.axis.hold()
+            if was_active and ready and not self._interpolates:
+                self.axis.slow_down(self.od.read(0x6084, 0) * SPEED_RAD_S / abs(self.axis.motor.ratio))
         if self._target_is_new:
             self._target_is_new = False
-            if self.state == ENABLED and not self.axis.brake_closed and self._operates:
+            if self._operates:
                 self._follow()
 
     @property
     def _operates(self) -> bool:
-        return self.od.read(0x6061, 0) == CYCLIC_SYNC_POSITION
+        """Whether the axis follows its target: statusword bit 12, in interpolated position mode "ip mode active"."""
+        if self.state != ENABLED or self.axis.brake_closed:
+            return False
+        return self._interpolates or self.od.read(0x6061, 0) == CYCLIC_SYNC_POSITION
 
     def _commanded(self, word: int, before: int) -> str | None:
         """State that a controlword asks for; None = none (CiA 402-2, table of device control commands)."""
@@ -422,7 +451,7 @@ class Drive:
             word |= 0x0020
         if self.axis.limited:
             word |= 0x0800
-        if self.state == ENABLED and not self.axis.brake_closed and self._operates:
+        if self._operates:
             word |= 0x1000
         self.od.write(0x6041, 0, word)
 

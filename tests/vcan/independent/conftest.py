@@ -19,6 +19,7 @@ from gateway.preflight import machine
 from tests.support.independent_drives import SIX, IndependentDrives
 
 HERE = Path(__file__).parent
+#: Forms of SDO answers, in mode 8; the third variant of the drives moves in mode 7.
 VARIANTS = ("zero-extended", "no-size")
 EMULATED = os.environ.get("SERVO_GATEWAY_IN_VM") == "1"
 #: What is changed in the profile where the processor is emulated, a twentieth as fast: (old, new).
@@ -93,6 +94,11 @@ def place(drives: IndependentDrives, tmp_path_factory: pytest.TempPathFactory) -
         patch.setenv("XDG_STATE_HOME", str(folder / "state"))
         # Whether this computer is idle enough has a test of its own; a delayed SYNC in motion still ends a command.
         patch.setattr(machine, "measure_lateness", lambda *_: [0.0])
+        if drives.variant == "interpolated":
+            _change(
+                folder / "drive.eds",
+                [("DefaultValue=0x80\nPDOMapping=0\n\n[Ma", "DefaultValue=0x40\nPDOMapping=0\n\n[Ma")],
+            )
         here = Place(folder, drives.bus)
         words = ("--eds", folder / "drive.eds", "--answers", folder / "answers.toml", "-o", folder / "axd.toml")
         here.types("profiles", "new", *words, bus=False)

@@ -25,10 +25,10 @@ AT_TARGET = [
 QUICK_STOP_3 = round(5.0 * 80 * 600 / (2 * math.pi))
 
 
-@on_buses(VARIANTS, ["no-size"])
+@on_buses([*VARIANTS, "interpolated"], ["no-size"])
 def test_scan_and_check(place, drives, failed):
     nodes = place.result("scan", "--listen", 0.5, bus=True)["nodes"]
-    product = {"zero-extended": 0x0402_0001, "no-size": 0x0402_0002}[drives.variant]
+    product = {"zero-extended": 0x0402_0001, "no-size": 0x0402_0002, "interpolated": 0x0402_0003}[drives.variant]
     assert [node["node_id"] for node in nodes] == list(SIX)
     for node in nodes:
         found = (node["vendor_id"], node["product_code"], node["revision"], node["serial_number"])
@@ -41,7 +41,7 @@ def test_scan_and_check(place, drives, failed):
     assert said["J6 node 6:6076:00 (rated_torque)"] == "0.25 Nm is 1000 per mille"
 
 
-@on_buses(VARIANTS, ["no-size"])
+@on_buses([*VARIANTS, "interpolated"], ["no-size"])
 @pytest.mark.clock
 def test_the_proof_stops_the_arm_twice_at_speed(place, drives, failed):
     """Once by the lost heartbeat, once by the quick stop word: both at about 0.05 rad/s, before the arm slows down."""
@@ -56,7 +56,7 @@ def test_the_proof_stops_the_arm_twice_at_speed(place, drives, failed):
         assert any("quick stop: at rest after" in what for what in said)
 
 
-@on_buses(["no-size"], ["no-size"])
+@on_buses(["no-size", "interpolated"], ["no-size"])
 @pytest.mark.clock
 def test_from_the_first_motion_to_the_load(place, drives):
     """`move`, two recordings, `estimate`, on an arm with friction and gears that take a tenth of the work."""

@@ -24,6 +24,8 @@ MASTER = 127
 PRE_OPERATIONAL, OPERATIONAL, STOPPED = 0x7F, 0x05, 0x04
 #: 0 rad of the first axis, whose motor turns 100 times as much and counts 65536 to a turn.
 POSITION = 0
+#: Bit 12 of the statusword: the drive follows its targets; in mode 7 "ip mode active".
+ACTIVE = 0x1000
 SWITCH_ON_DISABLED, READY = 0x0250, 0x0231
 
 
@@ -139,6 +141,32 @@ def test_a_synchronous_rpdo_takes_effect_with_sync_and_a_tpdo_samples_before(sdo
     opened.send(0x080, b"")
     wait(2, 2.0)
     assert struct.unpack("<Hih", seen[1]) == (READY, POSITION, 0)
+
+
+@on_buses(["interpolated"])
+def test_an_interpolating_drive_follows_its_records_with_bit_4_alone(sdo: SdoClient, opened: Bus) -> None:
+    map_pdo(sdo, 0x1800, 0x180 + NODE, (0x60410010, 0x60640020))
+    map_pdo(sdo, 0x1400, 0x200 + NODE, (0x60400010, 0x60C10120))
+    sdo.write(0x6060, 0, "i8", 7)
+    opened.send(0x000, bytes([0x01, NODE]))
+    seen, _ = frames(opened, 0x180 + NODE)
+
+    def cycles(controlword: int, record: int, count: int = 20) -> tuple[int, int]:
+        for _ in range(count):
+            opened.send(0x200 + NODE, struct.pack("<Hi", controlword, record))
+            opened.send(0x080, b"")
+            opened.listen(0.01)
+        statusword, position = struct.unpack("<Hi", seen[-1])
+        return statusword & (ACTIVE | 0x6F), position
+
+    for controlword in (0x06, 0x07):
+        cycles(controlword, POSITION, 2)
+    assert cycles(0x0F, 2000) == (0x27, pytest.approx(POSITION, abs=20))
+    assert cycles(0x1F, 2000) == (0x27 | ACTIVE, pytest.approx(2000, abs=20))
+    with pytest.raises(SdoAbort):
+        sdo.write(0x60C2, 1, "u8", 4)
+    assert cycles(0x0F, POSITION) == (0x27, pytest.approx(2000, abs=20))
+    assert cycles(0x00, POSITION)[0] == 0x40
 
 
 @one

@@ -122,12 +122,14 @@ def test_a_blocked_disk_fills_the_queue_and_nothing_waits(disk, tmp_path, header
 
 
 def test_a_slow_disk_empties_the_queue_again(disk, tmp_path, header):
+    gate = tmp_path / "gate"
     queue = VisitQueue(
-        disk, tmp_path / "run.h5", header, ARM_HEADER, None, capacity=2, write=partial(write_slowly, 0.05)
+        disk, tmp_path / "run.h5", header, ARM_HEADER, None, capacity=2, write=partial(write_behind, gate)
     )
     queue.add("main", visit(1, -1))
     queue.add("main", visit(1, 1))
     assert "too slow" in str(queue.trouble())
+    gate.touch()
     assert [each.number for each in until(queue, lambda: not queue.waiting)] == [1, 2]
     assert queue.trouble() is None
     queue.close()
