@@ -42,7 +42,7 @@ WEIGHS_NOTHING = ("trinamic",)
 LOADS = ("none", "gripper")
 HALF_WIDTH = 1.96
 #: Answers of `profiles new` as messages name them; an object or a question that a refusal names before its remedy.
-ANSWER = re.compile(r'(cyclic_mode|mode_before_enable|ignored_status|warning_codes) = "?(\w+)"?')
+ANSWER = re.compile(r'(cyclic_mode|ignored_status|warning_codes) = "?(\w+)"?')
 REASON = re.compile(r"(?s)error: .*([0-9A-F]{4}:[0-9A-F]{2}|0x[0-9A-F]{4}).*; \w")
 #: Torque limit 0x6072 that is set where `check` refuses that of a drive as delivered [per mille].
 RAISED = 3750

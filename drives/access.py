@@ -94,8 +94,8 @@ class NodeAccess:
 
     def write(
         self, entry: Entry, value: int, reason: str, options: Transfer = NORMAL, rounded: Container[int] = ()
-    ) -> None:
-        """Write an object and read it back; nothing is written if it holds the value already.
+    ) -> int:
+        """Write an object and return what is read back; nothing is written if it holds the value already.
 
         Parameters
         ----------
@@ -118,10 +118,10 @@ class NodeAccess:
         now = self.read(entry, options)
         if now == value:
             self._configured[entry.index, entry.subindex] = (entry.type, value)
-            return
+            return value
         step = Step(entry.index, entry.subindex, entry.type, value, reason)
         self._ledger.note(self._entry(step, now))
-        self.write_step(step, options, rounded)
+        return self.write_step(step, options, rounded)
 
     def note_steps(self, steps: Sequence[Step], writer: Writer = "run") -> dict[Address, tuple[str, int]]:
         """Record writes in the ledger, all of them before the first one is sent.
@@ -136,10 +136,10 @@ class NodeAccess:
         self._ledger.note(*entries)
         return held
 
-    def write_step(self, step: Step, options: Transfer = NORMAL, rounded: Container[int] = ()) -> None:
+    def write_step(self, step: Step, options: Transfer = NORMAL, rounded: Container[int] = ()) -> int:
         """Write a parameter that is recorded in the ledger, even without permission of the profile; read it back.
 
-        What is read back is its value, or one of `rounded`.
+        What is read back, and returned, is its value, or one of `rounded`.
 
         Raises
         ------
@@ -155,6 +155,7 @@ class NodeAccess:
             what = f"{step.value:#x} was written, but {back:#x} is read back"
             self.refuse(step, what, "the drive limits or ignores this value")
         self._configured[step.address] = (step.data_type, back)
+        return back
 
     def changed(self, without: Collection[Address] = ()) -> Iterator[tuple[Address, int, int]]:
         """Read every configured object again and yield those that have changed.

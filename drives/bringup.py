@@ -195,7 +195,7 @@ def refuse_enabled(access: ObjectAccess) -> None:
 
 def read_scale(drive: Cia402Drive, period_s: float) -> None:
     """Read rated values and encoder resolution (scaling of the profile)."""
-    drive.set_scale(read_constants(drive.access), period_s)
+    drive.set_scale(read_constants(drive.setup.profile, drive.access.read, drive.node_id), period_s)
 
 
 def check_units(device: Instrument, _period_s: float) -> None:
@@ -277,14 +277,17 @@ def limit_position(drive: Cia402Drive, _period_s: float) -> None:
 
 def limit_torque(drive: Cia402Drive, _period_s: float) -> None:
     """Lower the drive's own torque limit to what the arm can need (0x6072), where profile and drive allow it."""
-    rated_nm = drive_limits.rated_torque_nm(drive.access, drive.scale.constants)
+    rated_nm = drive.setup.profile.rated_torque_nm(drive.access.read)
     need_nm = drive.setup.torque_limit_nm
-    permille = None if need_nm is None or rated_nm is None else drive_limits.permille_of(need_nm, rated_nm)
+    permille = None if need_nm is None or rated_nm is None else math.ceil(1000.0 * need_nm / rated_nm - 1e-9)
     drive_limits.limit_torque(drive.access, permille)
 
 
 def set_mode(drive: Cia402Drive, _period_s: float) -> None:
-    """Set the cyclic mode of the profile (0x6060), and read it back if it is shown before enabling (0x6061)."""
+    """Set the cyclic mode of the profile (0x6060), and refuse a drive that shows another (0x6061).
+
+    Some drives show 0 until they are enabled: enabling reads it again from every drive.
+    """
     access, mode, kind = drive.access, drive.mode, OBJECTS["interpolation_kind"]
     if mode is Mode.INTERPOLATED_POSITION and access.read_readable(kind):
         access.write(kind, 0, "linear interpolation")
@@ -295,11 +298,8 @@ def set_mode(drive: Cia402Drive, _period_s: float) -> None:
             others = " or ".join(f"cyclic_mode = {each.value}" for each in FOLLOWING if each is not mode)
             abort.advice = f"enable mode {mode.value} in the drive, or set {others} in [state_machine] of its profile"
         raise
-    machine = access.profile.state_machine
-    if not machine.mode_before_enable:
-        return
-    deadline = time.monotonic() + machine.transition_timeout_s
-    while (shown := access.read(OBJECTS["mode_display"])) != mode.value:
+    deadline = time.monotonic() + access.profile.state_machine.transition_timeout_s
+    while (shown := access.read(OBJECTS["mode_display"])) not in (0, mode.value):
         if time.monotonic() > deadline:
             refuse_mode(access, mode, shown)
         access.bus.listen(POLL_S)
@@ -308,10 +308,6 @@ def set_mode(drive: Cia402Drive, _period_s: float) -> None:
 def refuse_mode(access: ObjectAccess, mode: Mode, shown: int | None) -> NoReturn:
     """Refuse a drive whose 0x6061 shows another mode, or None where it did not answer."""
     advice = "the drive does not support this mode in its present setting: see 0x6502"
-    if shown == 0 and access.profile.state_machine.mode_before_enable:
-        advice += (
-            "; if it shows 0 until it is enabled, set mode_before_enable = false in [state_machine] of its profile"
-        )
     what = (
         f"shows mode {shown} instead of {mode.value}" if shown is not None else f"cannot be read; {mode.value} was set"
     )

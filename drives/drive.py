@@ -67,6 +67,8 @@ class Cia402Drive:
         self._tpdos, _ = tpdo_plans(setup.profile, self.node_id)
         #: RPDOs of the stored target, after `pack`.
         self.frames = tuple(bus.prepare(plan.cob_id, plan.size_bytes) for plan in self.commands)
+        #: Time without a sign of the master after which the drive stops, as it was read back.
+        self.loss_time_s = 0.0
         self._held_count = 0
         self._staged = (0, 0, 0)
         self.sync_period_s = 0.0
@@ -149,10 +151,12 @@ class Cia402Drive:
         reason, heartbeat = "the drive stops when the master is lost", self.setup.profile.heartbeat
         if heartbeat.watchdog == "heartbeat":
             entry, value = OBJECTS["consumer_heartbeat"], master_node_id << 16 | heartbeat.consumer_ms
-            self.access.write(entry, value, reason, rounded=rounded_time(value, heartbeat.consumer_ms))
+            back = self.access.write(entry, value, reason, rounded=rounded_time(value, heartbeat.consumer_ms))
+            self.loss_time_s = (back & 0xFFFF) / 1000.0
         else:
             entry, value = OBJECTS["guard_time"], heartbeat.consumer_ms // SIGNS_IN_TIME
-            self.access.write(entry, value, reason, rounded=rounded_time(value, value))
+            back = self.access.write(entry, value, reason, rounded=rounded_time(value, value))
+            self.loss_time_s = back * SIGNS_IN_TIME / 1000.0
             self.access.write(OBJECTS["life_time_factor"], SIGNS_IN_TIME, reason)
 
     def disarm(self) -> None:

@@ -9,7 +9,6 @@ from drives.access import ObjectAccess
 from drives.cia402 import AT_REST, decode_state, describe
 from drives.errors import DriveFault, SdoAbort, SdoProtocolError
 from drives.objects import OBJECTS
-from drives.scaling import Constants
 
 #: Distance of the drive's own position limits outside those of the master, in motor revolutions: a stop that begins at
 #: the master's limit ends before the drive's. Behind a gear of 100 it is 0.03 rad of the joint.
@@ -125,18 +124,3 @@ def limit_torque(access: ObjectAccess, permille: int | None) -> bool:
         rounded = range(limit, min(original, limit + limit // ROUNDED) + 1)
         access.write(entry, limit, "lowest torque that the motion needs", rounded=rounded)
     return limit == permille
-
-
-def rated_torque_nm(access: ObjectAccess, constants: Constants) -> float | None:
-    """Return the torque [Nm] of 1000 per mille of 0x6072; None = the profile does not state it."""
-    profile = access.profile
-    if profile.torque.kind == "permille_rated_torque":
-        return constants.torque_rated
-    if profile.torque_offset is not None and profile.torque_offset.kind == "permille_rated_torque":
-        return constants.offset_rated
-    return None
-
-
-def permille_of(torque_nm: float, rated_nm: float) -> int:
-    """Return the smallest torque limit in per mille that permits a torque."""
-    return math.ceil(1000.0 * torque_nm / rated_nm - 1e-9)

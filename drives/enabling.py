@@ -35,6 +35,7 @@ from drives.heartbeat import NmtCommand, NmtState, send_nmt
 from drives.instrument import Instrument
 from drives.monitor import Monitor
 from drives.objects import OBJECTS
+from drives.sdo import Posted
 
 #: Interval at which START is repeated to a node that is not OPERATIONAL, and how long: at least so many heartbeats [s].
 _REPEAT_S: Final = 0.2
@@ -169,12 +170,15 @@ def _not_operational(drive: Cia402Drive, monitor: Monitor) -> DriveError:
 
 
 def _compare_with_sdo(drives: Sequence[Cia402Drive], epoch: Epoch) -> None:
-    """Refuse drives whose first TPDO differs from SDO reads of the same objects, as with a shifted mapping."""
+    """Refuse drives whose first TPDO differs from SDO reads of the same objects, or that show another mode by now."""
     failures: list[DriveError] = []
     readings = [reading for reading in epoch.readings if reading is not None]  # the epoch is complete
     for drive, reading in zip(drives, readings, strict=True):
         try:
             status, position, _ = drive.read_axis()
+            shown = drive.access.read(OBJECTS["mode_display"])
+            if shown not in (0, drive.mode.value):
+                refuse_mode(drive.access, drive.mode, shown)
         except DriveError as error:
             failures.append(error)
             continue
@@ -199,9 +203,8 @@ def _walk(exchange: SyncExchange, monitor: Monitor, epoch: Epoch, check_stop: Ca
     limit_s = _TRANSITIONS * max(machine.transition_timeout_s for machine in machines) + brake_s
     held = tuple(reading.position_count for reading in epoch.readings if reading is not None)
     display = OBJECTS["mode_display"]
-    late = [drive for drive, machine in zip(drives, machines, strict=True) if not machine.mode_before_enable]
-    #: Of drives that show their mode only when they are enabled: the question that is open.
-    asked = {drive: drive.access.sdo.post(*display.address, display.type) for drive in late}
+    #: Of each drive whose mode is not known since all are enabled: the open question. Some show 0 until then.
+    asked: dict[Cia402Drive, Posted] = {}
 
     began_s, held_s, waited, all_enabled = epoch.time_s, 0.0, [0] * len(drives), False
     while not all_enabled or held_s < brake_s or asked or not epoch.complete:
@@ -221,15 +224,17 @@ def _walk(exchange: SyncExchange, monitor: Monitor, epoch: Epoch, check_stop: Ca
             waited[axis] = waited[axis] + 1 if unchanged else 0
         _refuse_astray(exchange, epoch, before, held, waited)
         check_stop()
-        all_enabled |= epoch.complete and all(state is State.OPERATION_ENABLED for state in states)
-        for drive, answer in list(asked.items()) if all_enabled else ():
+        if not all_enabled and epoch.complete and all(state is State.OPERATION_ENABLED for state in states):
+            all_enabled = True
+            asked = {drive: drive.access.sdo.post(*display.address, display.type) for drive in drives}
+        for drive, answer in list(asked.items()):
             if answer.value == drive.mode.value:
                 del asked[drive]
             elif answer.answered or time.monotonic() > answer.until_s:
                 if epoch.time_s - began_s > limit_s:
                     refuse_mode(drive.access, drive.mode, answer.value)
                 asked[drive] = drive.access.sdo.post(*display.address, display.type)
-        if epoch.time_s - began_s > limit_s and not (asked and all_enabled):
+        if epoch.time_s - began_s > limit_s and not asked:
             raise_failures(_overdue(exchange, epoch, limit_s))
     return epoch
 

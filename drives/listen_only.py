@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Final, NoReturn
+from typing import Final
 
-from drives.access import Entry
 from drives.bus import EMCY_BASE, SDO_ANSWER_BASE, SYNC_ID, Bus
 from drives.emcy import Emergency, parse_emergency
 from drives.epoch import Epoch
 from drives.errors import ConfigurationRefused
 from drives.objects import SIZE_BYTES, decode_integer
 from drives.pdo import COMMAND, rpdo_plans, tpdo_plans
+from drives.profile import ObjectReference
 from drives.scaling import Constants, Decoder, MotorScale, motor_scale, read_constants, reading_decoder
 from drives.sdo import COMMAND_BITS, EXPEDITED, SCS_UPLOAD, expedited_data
 from drives.values import AxisSetup, DriveReading
@@ -27,7 +27,7 @@ _KEPT: Final = 64
 
 
 class _ObservedDrive:
-    """One observed drive; its recorded SDO answers are the source of `read_constants`."""
+    """One observed drive; its recorded SDO answers are the source of its constants."""
 
     def __init__(self, setup: AxisSetup, constants: Constants | None) -> None:
         self.setup, self.profile = setup, setup.profile
@@ -49,29 +49,15 @@ class _ObservedDrive:
         if self.scale is None and len(data) == 8 and data[0] & COMMAND_BITS == SCS_UPLOAD and data[0] & EXPEDITED:
             self._answers[int.from_bytes(data[1:3], "little"), data[3]] = bytes(data)
             with suppress(ConfigurationRefused):
-                self._set_constants(read_constants(self))
+                self._set_constants(read_constants(self.profile, self.recorded, self.setup.node_id))
 
-    def read(self, entry: Entry, /) -> int:
-        """Return the recorded value of an object.
-
-        Raises
-        ------
-        ConfigurationRefused
-            It was not received.
-        """
-        answer = self._answers.get((entry.index, entry.subindex))
-        if answer is None:
-            self.refuse(entry, "was not received", "begin to listen before the master reads it")
-        size = SIZE_BYTES[entry.type]
-        try:
-            return decode_integer(expedited_data(answer, size), size, signed=entry.type.startswith("i"))
-        except ValueError as error:
-            self.refuse(entry, str(error), "correct the type of this object in the profile")
-
-    def refuse(self, entry: Entry, what: str, advice: str, /) -> NoReturn:
-        """Raise `ConfigurationRefused` about an object."""
-        node, index, subindex = self.setup.node_id, entry.index, entry.subindex
-        raise ConfigurationRefused(what, node=node, index=index, subindex=subindex, advice=advice)
+    def recorded(self, where: ObjectReference) -> int | None:
+        """Return the recorded value of an object; None where it was not received."""
+        size = SIZE_BYTES[where.type]
+        with suppress(KeyError, ValueError):  # not received, or of another length than that of the profile
+            data = expedited_data(self._answers[where.index, where.subindex], size)
+            return decode_integer(data, size, signed=where.type.startswith("i"))
+        return None
 
     def take(self, sync_index: int) -> DriveReading | None:
         """Return the reading of the last SYNC from the frames received since."""

@@ -6,6 +6,7 @@ Every constant carries its source. A constant that is missing is an error: nothi
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, ClassVar, Final, Literal
 
@@ -86,6 +87,21 @@ _TARGET_POSITION: Final[dict[CyclicMode, ObjectReference]] = {
 }
 
 
+#: Why an encoder resolution is refused.
+NO_RESOLUTION: Final = "encoder resolution is missing, zero or 1:1 as delivered without a motor"
+#: Reads an object of a drive, or looks it up among objects that were read; None where the drive does not have it.
+Reader = Callable[[ObjectReference], int | None]
+
+
+def resolution(increments: float | None, turns: int | None) -> float | None:
+    """Return the position counts of one motor revolution from the two entries of 0x608F.
+
+    None where they hold no resolution: one is missing or zero, or there is no more than one count in a revolution. 1:1
+    is how drives are delivered without a motor.
+    """
+    return increments / turns if increments and turns and increments > turns else None
+
+
 class ExpectedIdentity(Strict):
     """Expected content of 0x1018; a key that is not given matches anything."""
 
@@ -110,6 +126,13 @@ class Rated(Strict):
         if (self.object is None) != (self.unit is None):
             raise ValueError("object and unit belong together: without the unit the number means nothing")
         return self
+
+    def amount(self, read: Reader) -> float | None:
+        """Return what 1000 per mille stand for [Nm or A]; None where the drive has no object for it, or zero in it."""
+        if self.object is None:
+            return self.value
+        word = read(self.object)
+        return word * self.unit if word and word > 0 and self.unit else None
 
 
 class Signal(Strict):
@@ -148,13 +171,6 @@ class Signal(Strict):
         parts = (self.rated, self.internal_unit_a)
         return is_assumed(self.source) or any(part is not None and is_assumed(part.source) for part in parts)
 
-    @property
-    def current_factor(self) -> float:
-        """Ampere of the torque constant per ampere of the drive: 1, sqrt(2) or 1/sqrt(2)."""
-        if self.current_reference == self.torque_constant_per:
-            return 1.0
-        return math.sqrt(2.0) if self.current_reference == "rms" else math.sqrt(0.5)
-
     @model_validator(mode="after")
     def _complete(self) -> Signal:
         if self.kind.startswith("permille") and self.rated is None and not self.assumed:
@@ -186,6 +202,13 @@ class TorqueOffsetWord(Strict):
         if self.kind == "permille_rated_current" and None in references:
             raise ValueError("a current needs current_reference and torque_constant_per (rms or peak)")
         return self
+
+
+def current_factor(word: Signal | TorqueOffsetWord) -> float:
+    """Return the ampere of the torque constant per ampere of the drive: 1, sqrt(2) or 1/sqrt(2)."""
+    if word.current_reference == word.torque_constant_per:
+        return 1.0
+    return math.sqrt(2.0) if word.current_reference == "rms" else math.sqrt(0.5)
 
 
 class Share(Strict):
@@ -277,6 +300,13 @@ class Position(Strict):
             raise ValueError("the position object must be of type i32, as the target position 0x607A is")
         return self
 
+    def counts(self, read: Reader) -> float | None:
+        """Return the position counts of one motor revolution; None where the drive holds no resolution."""
+        known = self.counts_per_revolution
+        if isinstance(known, Constant):
+            return resolution(known.value, 1)
+        return resolution(read(known.object), 1 if known.per is None else read(known.per))
+
 
 class StateMachine(Strict):
     """Times and behaviour of the CiA 402 state machine."""
@@ -290,9 +320,6 @@ class StateMachine(Strict):
     ignored_status: Literal[0, 0x0200, 0x0800, 0x0A00] = Field(
         default=0,
         description="bits of the statusword that say nothing on this drive: 0x0800 where a warning sets bit 11",
-    )
-    mode_before_enable: bool = Field(
-        default=True, description="the mode of operation is set before the drive is enabled"
     )
     brake_delay_s: float = Field(
         default=0.0, ge=0, description="time from operation enabled until the brake has opened"
@@ -481,6 +508,19 @@ class DriveProfile(Strict):
         """Whether the measured torque is a current times the torque constant of the cell file."""
         return self.torque.is_current
 
+    def rated_torque_nm(self, read: Reader) -> float | None:
+        """Return the motor torque of 1000 per mille of 0x6072 [Nm]; None where it is not known."""
+        words = (self.torque, self.torque_offset)
+        rated = [word.rated for word in words if word is not None and word.kind == "permille_rated_torque"]
+        return next((each.amount(read) for each in rated if each is not None), None)
+
+    def rated_current_a(self, read: Reader) -> float | None:
+        """Return the current of 1000 per mille of 0x6073 [A, as the torque constant takes it]; None: not known."""
+        signals = [each for each in (self.current, self.torque) if each is not None]
+        signal = next((each for each in signals if each.kind == "permille_rated_current"), None)
+        rated_a = None if signal is None or signal.rated is None else signal.rated.amount(read)
+        return None if signal is None or rated_a is None else rated_a * current_factor(signal)
+
     @property
     def obstacles(self) -> tuple[str, ...]:
         """Return why a drive of this profile may be read but not moved, each with a remedy; empty = may be moved."""
@@ -525,6 +565,10 @@ class DriveProfile(Strict):
         second = TPDO_COMMUNICATION + 1 in self.write.allow and TPDO_MAPPING + 1 in self.write.allow
         if (self.current is not None or self.torque.object.size_bits > 16) and not (second or self.no_motion):
             raise ValueError("a second TPDO is needed: write.allow lacks 0x1801 and 0x1A01")
+        codes = [0, *(entry.code for entry in self.emcy)]
+        if repeated := [code for number, code in enumerate(codes) if code in codes[:number]]:
+            what = f"emcy: code 0x{repeated[0]:04X} is listed twice or is no error: write each code once, 0x0000 never"
+            raise ValueError(what)
         if self.feedforward is not None:
             self._check_feedforward()
         return self

@@ -11,7 +11,7 @@ from drives.datasheet.sheet import Sheet
 from drives.errors import ProfileError
 from drives.objects import OBJECTS
 from drives.pdo import OFFSETS
-from drives.profile import CountsFromObjects, DriveProfile, ObjectReference, Rated
+from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
 from drives.toml_lines import KeyPath
 from drives.validation import Unfit, read_strict
 
@@ -59,10 +59,8 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
     """Return the objects that the master uses, each with whether it is mapped to a PDO."""
     for name, is_mapped in (_EVERY | dict.fromkeys(profile.loss_objects, False)).items():
         entry = OBJECTS[name]
-        yield (
-            ObjectReference.model_validate({"index": entry.index, "subindex": entry.subindex, "type": entry.type}),
-            is_mapped,
-        )
+        keys = {"index": entry.index, "subindex": entry.subindex, "type": entry.type}
+        yield ObjectReference.model_validate(keys), is_mapped
     yield profile.target_position, True
     yield profile.position.object, True
     for condition in (*profile.safety, *(() if profile.reference is None else (profile.reference,))):
@@ -70,9 +68,9 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
     for signal in (profile.torque, profile.current):
         if signal is not None:
             yield signal.object, True
-            yield from _rated(signal.rated)
-    if profile.torque_offset is not None:
-        yield from _rated(profile.torque_offset.rated)
+    for word in (profile.torque, profile.current, profile.torque_offset):
+        if word is not None and word.rated is not None and word.rated.object is not None:
+            yield word.rated.object, False
     if profile.velocity is not None:
         yield profile.velocity.object, profile.current is not None
     if profile.feedforward is not None:
@@ -81,14 +79,7 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
         yield profile.temperature.object, False
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
-        yield counts.object, False
-        if counts.per is not None:
-            yield counts.per, False
-
-
-def _rated(rated: Rated | None) -> Iterator[tuple[ObjectReference, bool]]:
-    if rated is not None and rated.object is not None:
-        yield rated.object, False
+        yield from ((each, False) for each in (counts.object, counts.per) if each is not None)
 
 
 PROFILE_FOLDER = Path(__file__).parent / "profiles"

@@ -245,9 +245,7 @@ class HeartbeatLossTest(StopTest):
 
     def __init__(self, exchange: SyncExchange) -> None:
         self._is_withheld = False
-        period_s = exchange.timing.period_s
-        drives = exchange.drives
-        super().__init__(exchange, [drive.setup.profile.heartbeat.consumer_ms / 1000.0 + period_s for drive in drives])
+        super().__init__(exchange, [drive.loss_time_s + exchange.timing.period_s for drive in exchange.drives])
 
     def controlwords(self) -> list[int]:
         """As `DriveTest.controlwords`."""

@@ -8,12 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NoReturn, Protocol
 
-from drives.access import Entry
-from drives.errors import ProfileError
+from drives.errors import ConfigurationRefused, ProfileError
 from drives.pdo import tpdo_plans
-from drives.profile import CountsFromObjects, DriveProfile, Rated, Signal, TorqueOffsetWord
+from drives.profile import (
+    NO_RESOLUTION,
+    CountsFromObjects,
+    DriveProfile,
+    ObjectReference,
+    Reader,
+    Signal,
+    current_factor,
+)
 from drives.values import AxisSetup, DriveReading
 
 Frames = Sequence[bytes | bytearray | None]
@@ -121,25 +127,21 @@ def _ampere_per_bit(profile: DriveProfile, what: str, signal: Signal, rated: flo
     if signal.kind == "internal_unit":
         if signal.internal_unit_a is None:
             raise ProfileError(f"{profile.name}: {what}.internal_unit_a is missing")
-        return signal.internal_unit_a.value * signal.current_factor
+        return signal.internal_unit_a.value * current_factor(signal)
     if signal.kind == "milliampere":
-        return 1e-3 * signal.current_factor
+        return 1e-3 * current_factor(signal)
     per_mille = _positive(profile, f"{what}: rated value", rated) / 1000.0
-    return per_mille * signal.current_factor if signal.is_current else per_mille
+    return per_mille * current_factor(signal) if signal.is_current else per_mille
 
 
 def _offset_nm(profile: DriveProfile, constants: Constants, torque_nm: float, kt: float) -> float | None:
-    own: TorqueOffsetWord | None = profile.torque_offset
+    own = profile.torque_offset
     if own is None:
         return torque_nm if profile.torque.kind.startswith("permille") else None
     per_mille = _positive(profile, "torque_offset: rated value", constants.offset_rated) / 1000.0
     if own.kind == "permille_rated_torque":
         return per_mille
-    if own.current_reference == own.torque_constant_per:
-        factor = 1.0
-    else:
-        factor = math.sqrt(2.0) if own.current_reference == "rms" else math.sqrt(0.5)
-    return per_mille * factor * _positive(profile, "torque constant (Nm/A)", kt)
+    return per_mille * current_factor(own) * _positive(profile, "torque constant (Nm/A)", kt)
 
 
 def _positive(profile: DriveProfile, what: str, value: float | None) -> float:
@@ -149,60 +151,44 @@ def _positive(profile: DriveProfile, what: str, value: float | None) -> float:
     return value
 
 
-class Readable(Protocol):
-    """Source of a drive's constants: the drive itself, or its recorded SDO responses."""
+def read_constants(profile: DriveProfile, read: Reader, node_id: int) -> Constants:
+    """Return the constants that the profile takes from the drive: rated values and encoder resolution.
 
-    @property
-    def profile(self) -> DriveProfile:
-        """Return the drive's profile."""
-        ...
-
-    def read(self, entry: Entry, /) -> int:
-        """Return the value of an object."""
-        ...
-
-    def refuse(self, entry: Entry, what: str, advice: str, /) -> NoReturn:
-        """Raise `ConfigurationRefused` about an object."""
-        ...
-
-
-def read_constants(access: Readable) -> Constants:
-    """Read the constants that the profile takes from the drive: rated values and encoder resolution.
+    Parameters
+    ----------
+    profile : DriveProfile
+    read : Reader
+        Of the drive, or of its recorded SDO answers.
+    node_id : int
+        For messages.
 
     Raises
     ------
     ConfigurationRefused
-        A value of zero.
+        A value that is missing or zero.
     SdoError
         An object cannot be read.
     """
-    profile = access.profile
-    return Constants(
-        torque_rated=_rated(access, profile.torque.rated),
-        current_rated_a=None if profile.current is None else _rated(access, profile.current.rated),
-        offset_rated=None if profile.torque_offset is None else _rated(access, profile.torque_offset.rated),
-        counts_per_revolution=read_resolution(access),
-    )
+    words, what = (profile.torque, profile.current, profile.torque_offset), "the rated value is not positive"
+    rated = [
+        word and word.rated and _known(word.rated.amount(read), word.rated.object, what, node_id) for word in words
+    ]
+    return Constants(*rated, counts_per_revolution=read_resolution(profile, read, node_id))
 
 
-def read_resolution(access: Readable) -> float:
-    """Return the position counts of one motor revolution; raises as `read_constants`."""
-    counts = access.profile.position.counts_per_revolution
-    if not isinstance(counts, CountsFromObjects):
-        return counts.value
-    per = 1 if counts.per is None else access.read(counts.per)
-    if counts.per is not None and per == 0:
-        access.refuse(counts.per, "is 0", "set the encoder resolution in the drive")
-    return access.read(counts.object) / per
+def read_resolution(profile: DriveProfile, read: Reader, node_id: int) -> float:
+    """Return the position counts of one motor revolution; parameters and errors as `read_constants`."""
+    counts = profile.position.counts_per_revolution
+    where = counts.object if isinstance(counts, CountsFromObjects) else None
+    return _known(profile.position.counts(read), where, NO_RESOLUTION, node_id)
 
 
-def _rated(access: Readable, rated: Rated | None) -> float | None:
-    if rated is None or rated.object is None or rated.unit is None:
-        return None if rated is None else rated.value
-    raw = access.read(rated.object)
-    if raw <= 0:
-        access.refuse(rated.object, f"the rated value is {raw}", "set it in the drive, or give it in the profile")
-    return raw * rated.unit
+def _known(value: float | None, where: ObjectReference | None, what: str, node_id: int) -> float:
+    if value is None:
+        index, subindex = (None, None) if where is None else (where.index, where.subindex)
+        advice = "set it in the drive, or give it in the profile"
+        raise ConfigurationRefused(what, node=node_id, index=index, subindex=subindex, advice=advice)
+    return value
 
 
 def reading_decoder(setup: AxisSetup, scale: MotorScale, slot: int = 0) -> Decoder:

@@ -339,7 +339,7 @@ def take_down(drive: Cia402Drive, clock: SyncClock) -> str:
     position = drive.setup.profile.position.object
     try:
         before = drive.access.read(position, ONCE)
-        _lead_down(drive, read_resolution(drive.access), clock)
+        _lead_down(drive, read_resolution(drive.setup.profile, drive.access.read, drive.node_id), clock)
         after = drive.access.read(position, ONCE)
     except Exception as error:
         raise _unknown(while_stopping(error, drive.node_id)) from error

@@ -156,13 +156,13 @@ def problem_text(model: type[BaseModel], data: Mapping[str, Any], path: KeyPath,
     if isinstance(path[-1] if path else "", int):
         key = "".join(f"[{part}]" if isinstance(part, int) else part for part in _tail(path))
     if kind == "missing":
-        return f"{key} is missing{_meaning(place.info)}: write {_assignment(path, place.kind, None)}"
+        return f"{key} is missing{_meaning(place.info)}: write {_assignment(path, place, None)}"
     if kind == "string_pattern_mismatch" and place.info is not None:
         form = place.info.description or "see the reference"
         return f"{key} = {_shown(_stated(data, path))} is of no known form: {form}"
     stated = _stated(data, path)
     wrong = f"{key} = {_shown(stated)} {_wrong(detail, place.kind)}"
-    return f"{owner}{wrong}: write {_assignment(_tail(path), place.kind, stated)}"
+    return f"{owner}{wrong}: write {_assignment(_tail(path), place, stated)}"
 
 
 def _tail(path: KeyPath) -> KeyPath:
@@ -171,12 +171,15 @@ def _tail(path: KeyPath) -> KeyPath:
     return path[start:]
 
 
-def _assignment(path: KeyPath, kind: Any, stated: Any) -> str:
-    if _is_table(kind):
-        return f"a table {_header(path, kind)}"
-    if isinstance(path[-1], int):
-        return written(kind, stated)
-    return f"{path[-1]} = {written(kind, stated)}"
+def _assignment(path: KeyPath, place: FieldPlace, stated: Any) -> str:
+    if _is_table(place.kind):
+        return f"a table {_header(path, place.kind)}"
+    value = written(place.kind, stated)
+    bounds = place.info.metadata if place.info else ()
+    limits = [str(getattr(each, name)) for name in ("ge", "le") for each in bounds if hasattr(each, name)]
+    if value == "INTEGER" and len(limits) == 2:
+        value = " to ".join(limits)
+    return value if isinstance(path[-1], int) else f"{path[-1]} = {value}"
 
 
 def _stated(data: Mapping[str, Any], path: KeyPath) -> Any:

@@ -164,7 +164,7 @@ KINDS: dict[str, Kind] = {
     "modes_supported": _drive("object", drives.support, "refuses", code=0x43),  # no mode 8
     "status_bits_off": _drive("object", drives.status_bits(False), "goes on", code=1 << 9),
     "status_bits_on": _drive("object", drives.status_bits(True), "stops", code=1 << 11),
-    "mode_display_late": _drive("object", drives.show_mode_when_enabled, "refuses"),
+    "mode_display_late": _drive("object", drives.show_mode_when_enabled, "goes on"),
     "warning_emcy": _drive("drive", drives.warn, "stops", count=50, code=0x4310),
     "mapping_locked": _drive("object", drives.lock_pdos, "goes on"),
     "period_pair": _drive("object", drives.await_both_periods, "goes on"),

@@ -21,6 +21,7 @@ class Outcome:
     complaints : what was not as stated; empty = ended in its stated reaction, for its stated cause, counted as stated
     detected, safe : SYNCs from the fault to the first word of a stop, and from there to the last axis out of operation
     moved : axes and SYNCs at which an enabled axis was given a new target after that first word
+    behind : farthest that an enabled axis was from its last target [counts]
     recorded, wrong : values in finished visits; of them those that the drive had not sent in answer to that SYNC
     in_samples : the fault was meant for the samples of a visit
     counted : counters that were asked for, as found
@@ -37,6 +38,7 @@ class Outcome:
     detected: int | None = None
     safe: int | None = None
     moved: int = 0
+    behind: int = 0
     wrong: int = 0
     recorded: int = 0
     in_samples: bool = False

@@ -163,7 +163,12 @@ def bound_syncs(kind: str, pacing: str, period_s: float) -> int | None:
 
 
 def compare(watched: Watched, outcome: Outcome, evidence: Evidence, base: int) -> None:
-    """Every recorded word against what the drive had sent in answer to that SYNC."""
+    """Every recorded word against what the drive had sent in answer to that SYNC, and positions against targets."""
+    answers = watched.seen.answers
+    for sync, states, targets, _ in watched.seen.states:
+        for axis, target in enumerate(targets):
+            if states[axis] is ENABLED and (sync, axis + 1) in answers:
+                outcome.behind = max(outcome.behind, abs(answers[sync, axis + 1][0] - target))
     for visit in evidence.visits:
         if not visit.complete:
             continue
@@ -171,7 +176,7 @@ def compare(watched: Watched, outcome: Outcome, evidence: Evidence, base: int) -
             for axis in range(6):
                 word = (int(visit.position_count[row, axis]), int(visit.torque_word[row, axis]))
                 outcome.recorded += 1
-                outcome.wrong += word != watched.seen.answers.get((base + int(index), axis + 1))
+                outcome.wrong += word != answers.get((base + int(index), axis + 1))
     if outcome.wrong:
         outcome.complaints.append(f"{outcome.wrong} values of another SYNC in finished visits")
 

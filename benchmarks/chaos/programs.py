@@ -46,9 +46,7 @@ speed_share = 1.0
 dwell_s = 0.2
 """
 #: Output of a program that was stalled by other work on this computer; it is then run again.
-DISTURBED = re.compile(
-    r"stalled for|SYNCs in a row unanswered|this computer wakes a loop|SYNCs were delayed|is this computer busy"
-)
+DISTURBED = re.compile(r"stalled for|SYNCs in a row unanswered|timer delay of this computer|SYNCs were delayed")
 TRIES = 5
 VISIT = re.compile(r"visit \d+/\d+: pose (\d+) from (below|above)")
 PERIOD = re.compile(r"period \d+/\d+: '([^']+)' number (\d+)")

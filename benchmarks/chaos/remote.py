@@ -64,8 +64,8 @@ class Remote:
         return self._ask("watched")
 
 
-def _serve(folder: Path, period_s: float, bus: str, pipe: Connection) -> None:
-    with RealTime(), Rig(folder, with_real_pacing(period_s), bus) as rig:
+def _serve(folder: Path, period_s: float, bus: str, mode: int, pipe: Connection) -> None:
+    with RealTime(), Rig(folder, with_real_pacing(period_s), bus, mode=mode) as rig:
         pipe.send("ready")
         while (question := pipe.recv()) is not None:
             name, arguments = question
@@ -73,18 +73,20 @@ def _serve(folder: Path, period_s: float, bus: str, pipe: Connection) -> None:
 
 
 @contextmanager
-def remote(period_s: float) -> Iterator[Remote]:
+def remote(period_s: float, mode: int = 8) -> Iterator[Remote]:
     """Drives of the small arm in real time, in a process of their own.
 
     Parameters
     ----------
     period_s : float
         SYNC period.
+    mode : int
+        Cyclic mode of the drives, 7 or 8.
     """
     with tempfile.TemporaryDirectory(prefix="rig-") as folder:
         bus = free_bus()
         ours, theirs = _SPAWN.Pipe()
-        process = _SPAWN.Process(target=_serve, args=(Path(folder), period_s, bus, theirs), daemon=True)
+        process = _SPAWN.Process(target=_serve, args=(Path(folder), period_s, bus, mode, theirs), daemon=True)
         process.start()
         try:
             if not ours.poll(PATIENCE_S) or ours.recv() != "ready":

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from unittest import mock
 
 import can
@@ -43,6 +43,8 @@ object = { index = 0x60FD, subindex = 0, type = "u32" }
 mask = 0x02000000
 good = 0x02000000
 """
+#: Bit of the controlword by which mode 7 follows its setpoints: beside the state that is commanded, no stop.
+FOLLOW = 0x10
 #: TPDO3 of a drive, and the bit of its identifier that says that it is off.
 TPDO3, OFF = 2, 1 << 31
 #: Fault that is cleared at once: the wire is there, and faults can be armed while it runs.
@@ -119,10 +121,11 @@ class Rig:
         bus: str | None = None,
         payload: Path | None = None,
         watch: bool = True,
+        mode: int = 8,
         **options: Any,
     ) -> None:
         self.bus = bus or f"virtual:rig-{uuid.uuid4().hex}"
-        self.loaded = small_cell(folder, edit)
+        self.loaded = small_cell(folder, edit, mode)
         serve_options = ServeOptions(bus=self.bus, fault=(IDLE,), payload=payload, **options)
         self.simulation = Simulation(folder / "cell.toml", serve_options)
         self.server = self.simulation.servers[0]
@@ -150,8 +153,11 @@ class Rig:
             (
                 sync,
                 tuple(drive.automaton.state for drive in drives),
-                tuple(drive.motion.target_counts for drive in drives),
-                tuple(drive.automaton.controlword for drive in drives),
+                tuple(
+                    drive.motion.record_counts if drive.motion.mode == 7 else drive.motion.target_counts
+                    for drive in drives
+                ),
+                tuple(drive.automaton.controlword & ~FOLLOW for drive in drives),
             )
         )
 
@@ -162,7 +168,7 @@ class Rig:
                 self.seen.slowest_s = max(self.seen.slowest_s, time.monotonic() - self.seen.came_s[-1])
             self.seen.answers[sync, frame.arbitration_id & 0x7F] = (position, torque)
 
-    # -- what a scenario asks for; the same by way of a pipe: `benchmarks.chaos.remote` --
+    # -- what a scenario asks for; `benchmarks.chaos.remote.Remote` passes it on to another process --
 
     def sync(self) -> int:
         """Number of the last SYNC on the wire."""
@@ -226,49 +232,13 @@ class Rig:
             yield opened
 
 
-class Drives(Protocol):
-    """What a scenario needs of simulated drives, in this process or in another; as in `Rig`."""
-
-    @property
-    def loaded(self) -> LoadedCell:
-        """The cell."""
-        ...
-
-    @property
-    def bus(self) -> str:
-        """INTERFACE:CHANNEL."""
-        ...
-
-    def renew(self) -> None:
-        """No fault, nothing seen."""
-        ...
-
-    def sync(self) -> int:
-        """Number of the last SYNC."""
-        ...
-
-    def arm(self, fault: Fault) -> None:
-        """A fault from now on."""
-        ...
-
-    def arm_in(self, fault: Fault, syncs: int) -> None:
-        """A fault after so many more SYNCs."""
-        ...
-
-    def all_well(self) -> None:
-        """An emergency message of every drive that it has no error."""
-        ...
-
-    def watched(self) -> Watched:
-        """What was seen."""
-        ...
-
-
-def small_cell(folder: Path, edit: Callable[[str], str] = lambda text: text) -> LoadedCell:
-    """The small example in a folder of its own, its text in lockstep and passed through `edit`."""
+def small_cell(folder: Path, edit: Callable[[str], str] = lambda text: text, mode: int = 8) -> LoadedCell:
+    """The small example in a folder of its own, its text in lockstep and passed through `edit`; `mode` is 7 or 8."""
     (folder / "robot.urdf").write_text((EXAMPLE / "robot.urdf").read_text())
     profile = (PROFILE_FOLDER / "generic-cia402.toml").read_text().replace("generic-cia402", "named-make", 1)
     profile = re.sub(r"(?m)^eds = .*\n", "", profile)
+    profile = profile.replace("[state_machine]\n", f"[state_machine]\ncyclic_mode = {mode}\n")
+    profile = profile.replace("allow = [", "allow = [0x60C1,")
     profile = profile.replace("[torque]\n", IDENTITY + "[torque]\n", 1) + SAFETY
     (folder / "drive.toml").write_text(profile)
     text = (EXAMPLE / "cell.toml").read_text().replace('profile = "generic-cia402"', 'profile = "drive.toml"')
@@ -287,9 +257,9 @@ def with_real_pacing(period_s: float) -> Callable[[str], str]:
 
 
 @contextmanager
-def rig(edit: Callable[[str], str] = lambda text: text) -> Iterator[Rig]:
+def rig(edit: Callable[[str], str] = lambda text: text, mode: int = 8) -> Iterator[Rig]:
     """A rig in a temporary folder."""
-    with tempfile.TemporaryDirectory(prefix="rig-") as folder, Rig(Path(folder), edit) as made:
+    with tempfile.TemporaryDirectory(prefix="rig-") as folder, Rig(Path(folder), edit, mode=mode) as made:
         yield made
 
 

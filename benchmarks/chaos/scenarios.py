@@ -20,7 +20,8 @@ import numpy as np
 
 from benchmarks.chaos.evidence import Evidence, Outcome, counters_of
 from benchmarks.chaos.judging import compare, follow, held_up, judge
-from benchmarks.chaos.rig import Drives, adapters
+from benchmarks.chaos.remote import Remote
+from benchmarks.chaos.rig import Rig, adapters
 from drives.bus import BusSpec
 from drives.errors import DriveError
 from drives.realtime import RealTime
@@ -105,7 +106,7 @@ class Beginning:
     in_samples : it is meant for the samples of a visit
     """
 
-    def __init__(self, rig: Drives, kind: str, seed: int, fault: Fault | None) -> None:
+    def __init__(self, rig: Rig | Remote, kind: str, seed: int, fault: Fault | None) -> None:
         bus = rig.loaded.cell.bus[BUS]
         self._period_s = bus.sync_period_s
         self._rig, self._fault = rig, fault
@@ -139,12 +140,12 @@ class Beginning:
                 self._rig.arm_in(self._fault, offset)
 
 
-def play(rig: Drives, kind: str, seed: int) -> Outcome:
+def play(rig: Rig | Remote, kind: str, seed: int) -> Outcome:
     """One fault at an instant drawn from the seed, in the pacing of the rig.
 
     Parameters
     ----------
-    rig : Drives
+    rig : Rig or Remote
         Simulated drives that run; they are as after power-up when this returns.
     kind : str
         One of `kinds()`.
@@ -198,7 +199,7 @@ def play(rig: Drives, kind: str, seed: int) -> Outcome:
     return outcome
 
 
-def play_again(rig: Drives, kind: str, seed: int) -> Outcome:
+def play_again(rig: Rig | Remote, kind: str, seed: int) -> Outcome:
     """`play`, again where it did not end as stated and the machine that this runs on did not keep its time."""
     real = rig.loaded.cell.bus[BUS].pacing == "real"
     for tries in range(1, TRIES + 1):
@@ -210,7 +211,7 @@ def play_again(rig: Drives, kind: str, seed: int) -> Outcome:
     return outcome
 
 
-def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, begin: Beginning) -> None:
+def _act(rig: Rig | Remote, opened: OpenArm, outcome: Outcome, evidence: Evidence, begin: Beginning) -> None:
     """Do with an open arm what the kind is about: a check, or a run."""
     kind = outcome.kind
     if kind in LOOKS:
@@ -229,7 +230,7 @@ def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, beg
             outcome.error = next((reason for reason in evidence.reasons if reason), "")
 
 
-def _say(rig: Drives, kind: str, event: Event) -> None:
+def _say(rig: Rig | Remote, kind: str, event: Event) -> None:
     """A drive whose emergencies come from another id says that all is well: that has to be detected."""
     if kind == "foreign_emcy_id" and isinstance(event, Started):
         rig.all_well()

@@ -186,7 +186,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
             kind: Stated(counts=(_COMPLETE,), real=())
             for kind in (
                 *("object_read_only", "object_value", "object_range", "object_not_mappable", "object_size"),
-                *("object_rounded", "record_short", "status_bits_off"),
+                *("object_rounded", "record_short", "status_bits_off", "mode_display_late"),
                 *("mapping_locked", "period_pair", "slow_enable", "rpdo_at_once"),
             )
         },
@@ -197,7 +197,6 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "warning_emcy": Stated(DriveFault, "sent an emergency: 0x4310", "emergency"),
         "position_wraps": Stated(LimitExceeded, "rad off its target|but has moved by", named="joint"),
         "single_turn": Stated(ConfigurationRefused, "since it was configured"),
-        "mode_display_late": Stated(ConfigurationRefused, "shows mode 0 instead of 8"),
         "sync_producer": Stated(ForeignMaster, r"has sent \d+ SYNC; nothing was sent", named="no node"),
         # drives that may not be moved
         "start_never": Stated(

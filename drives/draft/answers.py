@@ -5,14 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from drives.errors import ProfileError
-from drives.profile import Positive, is_assumed
+from drives.profile import CyclicMode, Positive, is_assumed
 from drives.validation import Strict, Unfit, fitted, read_strict
 
 Text = Annotated[str, Field(min_length=1)]
 ObjectText = Annotated[str, Field(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9A-Fa-f]{2})?$")]
+TypedMode = Annotated[CyclicMode, BeforeValidator(lambda typed: {"7": 7, "8": 8}.get(str(typed), typed))]
 
 ADVICE = "docs/reference/profile-answers.md lists questions and answers"
 
@@ -62,11 +63,8 @@ class ProfileAnswers(Strict):
         default=None, description="what stops the drive when the master's heartbeat is lost (0x6007)"
     )
 
-    cyclic_mode: Annotated[int, Field(ge=7, le=8)] | None = Field(
+    cyclic_mode: TypedMode | None = Field(
         default=None, description="mode of the setpoint stream where 0x6502 does not state it: 7 or 8"
-    )
-    mode_before_enable: bool | None = Field(
-        default=None, description="false: 0x6061 shows the mode only once the drive is enabled"
     )
     ignored_status: Literal["0x0200", "0x0800", "0x0A00"] | None = Field(
         default=None, description="bits of the statusword without meaning: 0x0800 where a warning sets bit 11"

@@ -8,6 +8,7 @@ from typing import Final
 
 from drives.draft.answers import ProfileAnswers, address_of
 from drives.draft.device import Address, Device, velocity_unit_rad_s
+from drives.profile import resolution
 
 TORQUE: Final = (0x6077, 0)
 CURRENT: Final = (0x6078, 0)
@@ -66,7 +67,7 @@ def _asks_value(device: Device, answers: ProfileAnswers) -> bool:
 def has_counts(device: Device) -> bool:
     """Return whether 0x608F holds the counts of a motor revolution; a drive that answers 1 for 1 has no value there."""
     counts, turns = (device.live.get(address) for address in COUNTS)
-    return device.has(*COUNTS[0]) and (counts is None or counts != (turns or 1))
+    return device.has(*COUNTS[0]) and (counts is None or resolution(counts, turns or 1) is not None)
 
 
 def _asks_counts(device: Device, answers: ProfileAnswers) -> bool:

@@ -59,7 +59,6 @@ def _text(device: Device, answers: ProfileAnswers, name: str, no_motion: Iterabl
         _position(device, answers),
         _TIMES.format(
             cyclic_mode=_cyclic_mode(device, answers),
-            before="false" if answers.mode_before_enable is False else "true",
             ignored=answers.ignored_status or "0",
         ),
         _heartbeat(device, answers),
@@ -90,12 +89,9 @@ def _reasons(device: Device, answers: ProfileAnswers) -> tuple[str, ...]:
 
 def _cyclic_mode(device: Device, answers: ProfileAnswers) -> CyclicMode:
     """Return the mode as answered; else cyclic synchronous position, unless the drive states interpolated position."""
-    if answers.cyclic_mode is not None:
-        return 7 if answers.cyclic_mode == 7 else 8
-    modes = device.value_of(0x6502)
-    if modes is None or mode_supported(modes[0], Mode.CYCLIC_SYNC_POSITION):
-        return 8
-    return 7 if mode_supported(modes[0], Mode.INTERPOLATED_POSITION) else 8
+    modes, _ = device.value_of(0x6502) or (None, "")
+    stated = [] if modes is None else [mode for mode in FOLLOWING if mode_supported(modes, mode)]
+    return answers.cyclic_mode or (7 if stated == [Mode.INTERPOLATED_POSITION] else 8)
 
 
 def _watchdog(device: Device) -> Watchdog:
@@ -148,10 +144,7 @@ def _torque(device: Device, answers: ProfileAnswers) -> str:
     if address is None:
         advice = "answer torque_object, such as torque_object=0x30D1:02; without one this drive can weigh no load"
         raise ProfileError(f"{device.sheet.name} has neither 0x6077 nor 0x6078 to read a torque from", advice=advice)
-    kind = device.type_of(*address)
-    if kind is None:
-        advice = "answer torque_object with an object of the data sheet that is a number"
-        raise ProfileError(f"{device.sheet.name} has no number at {_where(address)}", advice=advice)
+    kind = _number(device, "torque_object", address)
     missing = _missing_for_torque(device, answers)
     source = answers.torque_source or "source not stated"
     if missing:
@@ -173,6 +166,15 @@ def _torque(device: Device, answers: ProfileAnswers) -> str:
         value = getattr(answers, key)
         lines.append(f'{key} = "{value}"' if value else f'# {key} = "rms" or "peak"')
     return "\n".join([*lines, *_rated(device, answers, source)]) + "\n"
+
+
+def _number(device: Device, key: str, address: Address) -> DataType:
+    """Return the type of an object that an answer names; raises `ProfileError` where the sheet has no number there."""
+    kind = device.type_of(*address)
+    if kind is None:
+        advice = f"answer {key} with an object of the data sheet that is a number"
+        raise ProfileError(f"{device.sheet.name} has no number at {_where(address)}", advice=advice)
+    return kind
 
 
 def _missing_for_torque(device: Device, answers: ProfileAnswers) -> list[str]:
@@ -197,13 +199,9 @@ def _rated(device: Device, answers: ProfileAnswers, source: str) -> list[str]:
     if answers.rated_value is not None:
         return ["", "[torque.rated]", f"value = {answers.rated_value!r}", f"source = {toml_string(source)}"]
     address = rated_address(device, answers)
-    kind = None if address is None else device.type_of(*address)
-    if answers.rated_object is not None and kind is None:
-        advice = "answer rated_object with an object of the data sheet that is a number"
-        raise ProfileError(f"{device.sheet.name} has no number at {answers.rated_object}", advice=advice)
-    if address is None or kind is None:
+    if address is None:
         return ["", "# [torque.rated]: the data sheet has no object for it, and no value was answered"]
-    shown = device.value_of(*address)
+    kind, shown = _number(device, "rated_object", address), device.value_of(*address)
     lines = ["", f"# {shown[1]}: {shown[0]}" if shown is not None else f"# {_where(address)} is read from the drive"]
     said = source if answers.rated_unit is not None else "assumed: CiA 402-2 counts in thousandths; some drives do not"
     lines += [
@@ -221,6 +219,9 @@ def _velocity(device: Device, answers: ProfileAnswers) -> str:
     if answers.velocity_unit_rad_s is not None:
         unit = answers.velocity_unit_rad_s, answers.velocity_source or "assumed, answered without a source"
     if kind is None or unit is None:
+        if answers.ramp_counts_s2 is not None:
+            advice = "answer velocity_unit_rad_s as well, or leave ramp_counts_s2 out"
+            raise ProfileError("ramp_counts_s2 is not used without the velocity unit of 0x606C", advice=advice)
         return "# No [velocity]: the unit of 0x606C is not known.\n"
     lines = ["[velocity]", f"object = {_object((0x606C, 0), kind)}", f"unit_rad_s = {_constant(*unit)}"]
     if answers.ramp_counts_s2 is not None:
@@ -235,10 +236,7 @@ def _position(device: Device, answers: ProfileAnswers) -> str:
 def _counts(device: Device, answers: ProfileAnswers) -> tuple[str, ...]:
     if answers.counts_object is not None:
         address = address_of(answers.counts_object)
-        kind = device.type_of(*address)
-        if kind is None:
-            advice = "answer counts_object with an object of the data sheet that is a number"
-            raise ProfileError(f"{device.sheet.name} has no number at {_where(address)}", advice=advice)
+        kind = _number(device, "counts_object", address)
         return (f"counts_per_revolution = {{ object = {_object(address, kind)} }}",)
     if answers.counts_per_revolution is not None:
         source = answers.position_source or answers.torque_source or "assumed, answered without a source"
@@ -257,7 +255,6 @@ _TIMES: Final = """\
 cyclic_mode = {cyclic_mode}
 ignored_status = {ignored}
 transition_timeout_s = 2.0
-mode_before_enable = {before}
 brake_delay_s = 0.1
 
 [sdo]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Sequence
 from typing import Any
 
-from drives.profile import Constant, DriveProfile, Rated, Signal
+from drives.profile import Constant, DriveProfile, Rated, Signal, current_factor
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, AxisConfig
 
@@ -63,7 +63,7 @@ def _axis(axis: AxisConfig, profile: DriveProfile, read: Constants | None, of_cu
     if profile.torque.is_current:
         factor = f"profile {profile.name}: drive {profile.torque.current_reference}, constant per "
         entries["current_factor"] = _entry(
-            profile.torque.current_factor, "-", f"{factor}{profile.torque.torque_constant_per}"
+            current_factor(profile.torque), "-", f"{factor}{profile.torque.torque_constant_per}"
         )
     counts = profile.position.counts_per_revolution
     if isinstance(counts, Constant):

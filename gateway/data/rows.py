@@ -166,13 +166,8 @@ def without_duplicates(table: Table) -> Table:
     again = np.flatnonzero((key[order][1:] == key[order][:-1]).all(axis=1)) + 1
     if not len(again):
         return table
-    _refuse_if_different(table, order[again - 1], order[again])
-    keep = np.ones(len(table), dtype=bool)
-    keep[order[again]] = False
-    return table.take(keep)
-
-
-def _refuse_if_different(table: Table, earlier: np.ndarray, later: np.ndarray) -> None:
+    earlier = order[again - 1]
+    later = order[again]
     compared = {name: getattr(table, name) for name in COMPARED} | table.extra
     for name, values in compared.items():
         one, two = values[earlier].reshape(len(earlier), -1), values[later].reshape(len(later), -1)
@@ -184,3 +179,6 @@ def _refuse_if_different(table: Table, earlier: np.ndarray, later: np.ndarray) -
                 f"{table.where(row)}: repeats {table.where(before)} (run {table.run[row]}, load {table.load[row]}, "
                 f"pose {table.pose[row]}) with another {name}; keep one, or give a repeated visit its own time_s"
             )
+    keep = np.ones(len(table), dtype=bool)
+    keep[order[again]] = False
+    return table.take(keep)

@@ -41,7 +41,13 @@ def read_csv(path: Path, axes: AxisConversion | None) -> Table:
     """
     path = Path(path)
     columns = read_columns(path)
-    _refuse_other_count(columns, axes)
+    if columns.axes < FEWEST_AXES:
+        raise InputError(f"{columns.file}:1: columns of {columns.axes} axes; {FEWEST_AXES} to {MOST_AXES} are handled")
+    if axes is not None and columns.axes != len(axes.ratio):
+        raise InputError(
+            f"{columns.file}:1: columns of {columns.axes} axes, and the arm of the cell has {len(axes.ratio)}; name the"
+            " cell of the arm that was measured"
+        )
     pose, moving = _rest_or_moving(columns)
     tau, tau_std, motor = _torques(columns, axes, moving)
     n_rows = len(columns.line)
@@ -66,16 +72,6 @@ def read_csv(path: Path, axes: AxisConversion | None) -> Table:
         extra={name: values for name, values in columns.values.items() if name.startswith("x_")},
     )
     return without_duplicates(table)
-
-
-def _refuse_other_count(columns: CsvColumns, axes: AxisConversion | None) -> None:
-    if columns.axes < FEWEST_AXES:
-        raise InputError(f"{columns.file}:1: columns of {columns.axes} axes; {FEWEST_AXES} to {MOST_AXES} are handled")
-    if axes is not None and columns.axes != len(axes.ratio):
-        raise InputError(
-            f"{columns.file}:1: columns of {columns.axes} axes, and the arm of the cell has {len(axes.ratio)}; name the"
-            " cell of the arm that was measured"
-        )
 
 
 def _label(columns: CsvColumns, name: str, default: str) -> np.ndarray:
@@ -159,7 +155,17 @@ def _torques(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return joint torque, its standard deviation, and motor torque: (n, N) each, NaN where not measured."""
     tau, taum, current = (_by_axis(columns, pattern) for pattern in ("tau{}_nm", "taum{}_nm", "i{}_a"))
-    _one_source_per_axis(columns)
+    found = 0
+    for axis in range(1, columns.axes + 1):
+        stated = [name for name in (f"tau{axis}_nm", f"taum{axis}_nm", f"i{axis}_a") if name in columns.values]
+        if len(stated) > 1:
+            raise InputError(f"{columns.file}:1: axis {axis} is given as {' and '.join(stated)}; keep one of them")
+        found += len(stated)
+        for name in (f"tau{axis}_std_nm", f"taum{axis}_std_nm", f"i{axis}_std_a"):
+            if name in columns.values and name.replace("_std", "") not in columns.values:
+                raise InputError(f"{columns.file}:1: column '{name}' has no column '{name.replace('_std', '')}'")
+    if not found:
+        raise InputError(f"{columns.file}:1: no torque or current column (tau1_nm .., taum1_nm .. or i1_a ..)")
     tau_std, taum_std, current_std = (
         _spread(columns, p, moving) for p in ("tau{}_std_nm", "taum{}_std_nm", "i{}_std_a")
     )
@@ -174,20 +180,6 @@ def _torques(
         tau = np.where(measured, tau, axes.joint_torque(taum))
         tau_std = np.where(measured, tau_std, axes.joint_torque_std(taum_std))
     return tau, tau_std, taum
-
-
-def _one_source_per_axis(columns: CsvColumns) -> None:
-    found = 0
-    for axis in range(1, columns.axes + 1):
-        stated = [name for name in (f"tau{axis}_nm", f"taum{axis}_nm", f"i{axis}_a") if name in columns.values]
-        if len(stated) > 1:
-            raise InputError(f"{columns.file}:1: axis {axis} is given as {' and '.join(stated)}; keep one of them")
-        found += len(stated)
-        for name in (f"tau{axis}_std_nm", f"taum{axis}_std_nm", f"i{axis}_std_a"):
-            if name in columns.values and name.replace("_std", "") not in columns.values:
-                raise InputError(f"{columns.file}:1: column '{name}' has no column '{name.replace('_std', '')}'")
-    if not found:
-        raise InputError(f"{columns.file}:1: no torque or current column (tau1_nm .., taum1_nm .. or i1_a ..)")
 
 
 def _spread(columns: CsvColumns, pattern: str, moving: np.ndarray) -> np.ndarray:
@@ -250,7 +242,14 @@ def _columns_to_write(table: Table) -> dict[str, list[object]]:
     if table.direction.any():
         by_axis |= {"dir{}": table.direction}
     on_motor = np.isnan(table.tau_nm).all(axis=0)
-    _refuse_part_of_an_axis(np.where(on_motor, table.motor_torque_nm, table.tau_nm))
+    torque_nm = np.where(on_motor, table.motor_torque_nm, table.tau_nm)
+    missing = np.isnan(torque_nm).mean(axis=0)
+    partly = (missing > 0) & (missing < 1)
+    if partly.any():
+        raise InputError(
+            f"axis {int(np.argmax(partly)) + 1} was measured in some rows only; in a table, each axis has a torque in"
+            " all rows or in none: export each recording separately"
+        )
     by_axis |= {"tau{}_nm": table.tau_nm, "taum{}_nm": np.where(on_motor, table.motor_torque_nm, np.nan)}
     by_axis |= {"tau{}_std_nm": np.where(on_motor, np.nan, table.tau_std_nm)}
     by_axis |= {"q2nd{}_rad": table.q2nd_rad, "temp{}_c": table.temperature_c}
@@ -261,16 +260,6 @@ def _columns_to_write(table: Table) -> dict[str, list[object]]:
     if (table.count != 1).any():
         columns["n"] = table.count.tolist()
     return columns | {name: text_cells(_cells(values)) for name, values in table.extra.items()}
-
-
-def _refuse_part_of_an_axis(torque_nm: np.ndarray) -> None:
-    missing = np.isnan(torque_nm).mean(axis=0)
-    partly = (missing > 0) & (missing < 1)
-    if partly.any():
-        raise InputError(
-            f"axis {int(np.argmax(partly)) + 1} was measured in some rows only; in a table, each axis has a torque in"
-            " all rows or in none: export each recording separately"
-        )
 
 
 def _cells(values: np.ndarray) -> list[object]:

@@ -71,17 +71,13 @@ def diagnose(
         result = refused or rest.report(rest.search(read), held, holdout_kind)
         if table.moving.any():
             if not (refused or result.effects):
-                result = _of_both(result, table, robot, rest.stated)
+                # The result with the loads that `estimate` gives from rest and moving rows together
+                found = ESTIMATORS["joint"](table, robot, rest.stated)
+                loads = tuple(load_result(load, robot) for load in found.loads)
+                nuisance = {**result.nuisance, **found.nuisance}
+                result = replace(result, loads=loads, after=replace(result.after, loads=loads), nuisance=nuisance)
             left_out = (*_beside(int(table.moving.sum()), "moving", "rest"), *left_out)
     return replace(result, findings=(*result.findings, *left_out)) if left_out else result
-
-
-def _of_both(result: Result, table: Table, robot: Robot, knowledge: Knowledge) -> Result:
-    """Return the result with the loads that `estimate` gives from rest and moving rows together."""
-    found = ESTIMATORS["joint"](table, robot, knowledge)
-    loads = tuple(load_result(load, robot) for load in found.loads)
-    nuisance = {**result.nuisance, **found.nuisance}
-    return replace(result, loads=loads, after=replace(result.after, loads=loads), nuisance=nuisance)
 
 
 def _held_out_of_kind(holdout: Table | None, robot: Robot, *, moves: bool) -> tuple[Table | None, tuple[Finding, ...]]:

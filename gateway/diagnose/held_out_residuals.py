@@ -52,8 +52,3 @@ class Held:
         own = list(axes)
         new, old = (((held.residual_nm / std_nm)[:, own] ** 2).sum() for held in (self, before))
         return float(np.sqrt(new / old)) if old > 0 else 1.0
-
-
-def listed(values: Floats) -> tuple[float, ...]:
-    """Convert an array with one number per axis into a tuple."""
-    return tuple(float(value) for value in values)

@@ -70,23 +70,15 @@ def _joint(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
         return estimate_moving(table, robot, knowledge)
     if not table.moving.any():
         return _of_visits(estimate_joint)(table, robot, knowledge)
-    if knowledge.bare is not None:
-        note = Finding(
-            "info", "moving rows", f"{int(table.moving.sum())} moving rows were left out: --bare is of rest rows alone"
-        )
-        at_rest = _of_visits(estimate_joint)(table.take(~table.moving), robot, knowledge)
-        return replace(at_rest, findings=(*at_rest.findings, note))
-    try:
-        return _together(table, robot, knowledge)
-    except DataUnusable as error:  # too little motion to be fitted: the rest rows stand alone
-        note = Finding(
-            "info",
-            "moving rows",
-            f"{int(table.moving.sum())} moving rows were left out beside the rest rows",
-            str(error),
-        )
-        at_rest = _of_visits(estimate_joint)(table, robot, knowledge)
-        return replace(at_rest, findings=(*at_rest.findings, note))
+    what, advice = "moving rows were left out: --bare is of rest rows alone", ""
+    if knowledge.bare is None:
+        try:
+            return _together(table, robot, knowledge)
+        except DataUnusable as error:  # too little motion to be fitted: the rest rows stand alone
+            what, advice = "moving rows were left out beside the rest rows", str(error)
+    note = Finding("info", "moving rows", f"{int(table.moving.sum())} {what}", advice)
+    at_rest = _of_visits(estimate_joint)(table.take(~table.moving), robot, knowledge)
+    return replace(at_rest, findings=(*at_rest.findings, note))
 
 
 def _together(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:

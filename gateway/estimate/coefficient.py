@@ -22,7 +22,7 @@ from gateway.estimate.consistency import describe_masses, disagree
 from gateway.estimate.estimate import Estimate
 from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS, NOISE
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.load_estimate import LOAD_PARTS, LoadEstimate, refused_load
+from gateway.identify.load_estimate import LOAD_PARTS, LoadEstimate, refused_load, unknown_load
 from gateway.identify.nuisance import change_covariance, gain_stds
 from gateway.identify.prior_loads import BARE_LABEL, refuse_absent
 from gateway.identify.rest.problem import BAND_UNSEEN
@@ -56,20 +56,6 @@ class _Pose:
     behind_nm: dict[int, float]
     motor_nm: float
     lever_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Case:
-    """Load to estimate or to check: its label, the mass of the reference load, and its own mass if stated.
-
-    With the relative standard deviations of the gain, and of its change from one occasion to the other.
-    """
-
-    label: str
-    reference_kg: float
-    stated_kg: float | None
-    gain_std: float
-    change_std: float
 
 
 def estimate_coefficient(table: Table, knowledge: Knowledge, how: Coefficient | None) -> Estimate:
@@ -113,9 +99,11 @@ def estimate_coefficient(table: Table, knowledge: Knowledge, how: Coefficient | 
     for label in labels:
         if label == reference_label:
             continue
-        case = _Case(label, masses[reference_label], masses.get(label), gain_std, change_std)
-        load, finding = _one(_poses(rest, how, label), reference, how, case)
-        loads += [load] if case.stated_kg is None or load.refused else []
+        reference_kg, stated_kg = masses[reference_label], masses.get(label)
+        load, finding = _one(
+            label, _poses(rest, how, label), reference, how, reference_kg, stated_kg, gain_std, change_std
+        )
+        loads += [load] if stated_kg is None or load.refused else []
         findings += finding
     if not loads:
         raise DataUnusable("every load in the data is known: there is nothing to estimate")
@@ -152,13 +140,24 @@ def _poses(rest: Table, how: Coefficient, label: str) -> list[_Pose]:
 
 
 def _one(
-    poses: list[_Pose], reference: dict[int, _Pose], how: Coefficient, case: _Case
+    label: str,
+    poses: list[_Pose],
+    reference: dict[int, _Pose],
+    how: Coefficient,
+    reference_kg: float,
+    stated_kg: float | None,
+    gain_std: float,
+    change_std: float,
 ) -> tuple[LoadEstimate, list[Finding]]:
+    """Estimate one load, or check it if its mass is stated, against the poses of the reference load.
+
+    `gain_std` and `change_std` are the relative standard deviations of the gain, and of its change between occasions.
+    """
     common = [item for item in poses if item.pose in reference]
     usable = [item for item in common if np.isfinite(item.lever_m) and abs(item.lever_m) > _SHORT]
     if not usable:
         raise DataUnusable(
-            f"load '{case.label}' shares no pose with the reference in which the lever is longer than {_SHORT} m"
+            f"load '{label}' shares no pose with the reference in which the lever is longer than {_SHORT} m"
         )
     torques = {item.pose: _of_one_direction(item.behind_nm, reference[item.pose].behind_nm) for item in usable}
     opposite = [pose for pose, pair in torques.items() if pair is None]
@@ -166,29 +165,64 @@ def _one(
     what = f"poses {_names(opposite)} were approached from the direction opposite to that of the reference"
     if len(opposite) == len(usable):
         raise DataUnusable(
-            f"load '{case.label}', J{how.joint}: {what}, so the difference holds twice the friction; {advice}"
+            f"load '{label}', J{how.joint}: {what}, so the difference holds twice the friction; {advice}"
         )
-    findings = [Finding("warn", f"load {case.label}", f"{what} and were left out", advice)] if opposite else []
+    findings = [Finding("warn", f"load {label}", f"{what} and were left out", advice)] if opposite else []
     usable = [item for item in usable if item.pose not in opposite]
     torque = np.array([pair for pair in torques.values() if pair is not None])
     change = torque[:, 0] - torque[:, 1]
     lever = np.array([item.lever_m for item in usable])
-    mass = case.reference_kg + how.gear_ratio * change / (STANDARD_GRAVITY_M_S2 * lever)
+    mass = reference_kg + how.gear_ratio * change / (STANDARD_GRAVITY_M_S2 * lever)
     per_pose = {str(item.pose): float(value) for item, value in zip(usable, mass, strict=True)}
-    contradictions = _excess_torques(common, how) + _disagreements(usable, mass, case)
+    contradictions = []
+    over = [
+        item.pose for item in common if how.rated_torque_nm is not None and abs(item.motor_nm) > how.rated_torque_nm
+    ]
+    if over:
+        contradictions.append(
+            f"{len(over)} of {len(common)} motor torques exceed the rated {how.rated_torque_nm:g} Nm"
+            f" (poses {_names(over)})"
+        )
+    negative = [item.pose for item, value in zip(usable, mass, strict=True) if value < reference_kg]
+    positive = [item.pose for item in usable if item.pose not in negative]
+    against = negative if len(positive) >= len(negative) else positive
+    if against:
+        contradictions.append(f"in poses {_names(against)} the torque changes against the sign of the lever")
+    if disagree(mass.tolist()):
+        agreeing = max(int((np.abs(mass - value) <= 0.1 * abs(value)).sum()) for value in mass)
+        contradictions.append(
+            f"the poses alone would give {describe_masses(per_pose)}, and no mass fits more than"
+            f" {agreeing} of {len(mass)} poses within 10 %"
+        )
+    if stated_kg is not None and not (np.abs(mass - stated_kg) <= 0.2 * stated_kg).any():
+        contradictions.append(f"no pose comes near the stated {stated_kg:g} kg")
     if contradictions and (disagree(mass.tolist()) or len(contradictions) > 1):
-        return refused_load(case.label, "its rows contradict each other: " + "; ".join(contradictions), per_pose), []
-    findings += [Finding("warn", f"load {case.label}", text, "check the units and the run") for text in contradictions]
+        return refused_load(label, "its rows contradict each other: " + "; ".join(contradictions), per_pose), []
+    findings += [Finding("warn", f"load {label}", text, "check the units and the run") for text in contradictions]
     friction_nm = 0.0
     if any(0 in {*item.behind_nm, *reference[item.pose].behind_nm} for item in usable):
         friction_nm = float(np.sqrt(2.0) * BAND_UNSEEN * np.sqrt(np.mean(torque**2)))
         what = "the approach directions are not known: friction is not separated from the load"
-        findings.append(Finding("warn", f"load {case.label}", what, f"{advice}, and record it (column dir{how.joint})"))
+        findings.append(Finding("warn", f"load {label}", what, f"{advice}, and record it (column dir{how.joint})"))
     per_nm = how.gear_ratio / (STANDARD_GRAVITY_M_S2 * lever)
-    load = _load(case.label, mass, per_pose)
-    return _with_priors(
-        load, case, np.mean(per_nm[:, None] * torque, axis=0), friction_nm * float(per_nm.mean())
-    ), findings
+    # mean mass over the poses, as in the paper; standard deviation from the scatter (Student's t)
+    n, mass_kg, std_kg, budget = len(mass), float(mass.mean()), np.nan, {}
+    if n > 1:
+        # what all poses share is added: the torque constant, its change on each occasion, unknown friction
+        weight_kg = np.mean(per_nm[:, None] * torque, axis=0)
+        variances = {
+            CONSTANTS: (gain_std * (mass_kg - reference_kg)) ** 2,
+            LINKS: 0.0,
+            FRICTION: (friction_nm * float(per_nm.mean())) ** 2,
+            DRIFT: change_std**2 * float(weight_kg @ weight_kg),
+            NOISE: (float(mass.std(ddof=1) / np.sqrt(n) * stdtrit(n - 1, 0.975)) / _NORMAL) ** 2,
+        }
+        variance = sum(variances.values())
+        std_kg = float(np.sqrt(variance))
+        budget = {source: value / variance for source, value in variances.items()} if variance > 0 else {}
+    correlation = np.where(np.arange(16).reshape(4, 4) == 0, 1.0, np.nan)
+    load = replace(unknown_load(label), mass_kg=mass_kg, mass_std_kg=std_kg, correlation=correlation)
+    return replace(load, unidentifiable=LOAD_PARTS[1:], per_pose_mass_kg=per_pose, budget=budget), findings
 
 
 def _of_one_direction(mine: dict[int, float], theirs: dict[int, float]) -> tuple[float, float] | None:
@@ -198,75 +232,6 @@ def _of_one_direction(mine: dict[int, float], theirs: dict[int, float]) -> tuple
         return None
     one, other = (float(np.mean([torque[side] for side in same or torque])) for torque in (mine, theirs))
     return one, other
-
-
-def _load(label: str, mass: Floats, per_pose: dict[str, float]) -> LoadEstimate:
-    """Return the mean mass over the poses, as in the paper; standard deviation from the scatter (Student's t)."""
-    n, wide = len(mass), np.nan
-    if n > 1:
-        wide = float(mass.std(ddof=1) / np.sqrt(n) * stdtrit(n - 1, 0.975)) / _NORMAL
-    nothing, square = np.full(3, np.nan), np.full((4, 4), np.nan)
-    correlation = square.copy()
-    correlation[0, 0] = 1.0
-    return LoadEstimate(
-        label, float(mass.mean()), wide, nothing, nothing, correlation, square, LOAD_PARTS[1:], per_pose
-    )
-
-
-def _with_priors(load: LoadEstimate, case: _Case, weight_kg: Floats, friction_kg: float) -> LoadEstimate:
-    """Return the load with the uncertainty of what all poses share, and the shares of the variance.
-
-    That is the axis's torque constant, its change on each occasion, whose mean torques are those of a load of
-    `weight_kg` (2,), and friction of unknown direction.
-    """
-    if load.refused is not None or not np.isfinite(load.mass_std_kg):
-        return load
-    variances = {
-        CONSTANTS: (case.gain_std * (load.mass_kg - case.reference_kg)) ** 2,
-        LINKS: 0.0,
-        FRICTION: friction_kg**2,
-        DRIFT: case.change_std**2 * float(weight_kg @ weight_kg),
-        NOISE: load.mass_std_kg**2,
-    }
-    variance = sum(variances.values())
-    budget = {source: value / variance for source, value in variances.items()} if variance > 0 else {}
-    return replace(load, mass_std_kg=float(np.sqrt(variance)), budget=budget)
-
-
-def _excess_torques(common: list[_Pose], how: Coefficient) -> list[str]:
-    """Torques that the motor cannot hold at rest."""
-    if how.rated_torque_nm is None:
-        return []
-    over = [item.pose for item in common if abs(item.motor_nm) > how.rated_torque_nm]
-    if not over:
-        return []
-    return [
-        f"{len(over)} of {len(common)} motor torques exceed the rated {how.rated_torque_nm:g} Nm (poses {_names(over)})"
-    ]
-
-
-def _disagreements(usable: list[_Pose], mass: Floats, case: _Case) -> list[str]:
-    """Return contradictions: torque signs against the lever, and masses that disagree between the poses."""
-    out = []
-    negative = [item.pose for item, value in zip(usable, mass, strict=True) if value < case.reference_kg]
-    positive = [item.pose for item in usable if item.pose not in negative]
-    against = negative if len(positive) >= len(negative) else positive
-    if against:
-        out.append(f"in poses {_names(against)} the torque changes against the sign of the lever")
-    if disagree(mass.tolist()):
-        per_pose = dict(zip((str(item.pose) for item in usable), mass.tolist(), strict=True))
-        out.append(
-            f"the poses alone would give {describe_masses(per_pose)}, and no mass fits more than"
-            f" {_largest_agreement(mass)} of {len(mass)} poses within 10 %"
-        )
-    if case.stated_kg is not None and not (np.abs(mass - case.stated_kg) <= 0.2 * case.stated_kg).any():
-        out.append(f"no pose comes near the stated {case.stated_kg:g} kg")
-    return out
-
-
-def _largest_agreement(mass: Floats) -> int:
-    """Return the largest number of poses whose masses agree within 10 %."""
-    return max(int((np.abs(mass - value) <= 0.1 * abs(value)).sum()) for value in mass)
 
 
 def _names(poses: list[int]) -> str:

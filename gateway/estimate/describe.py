@@ -19,6 +19,7 @@ from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import gravity_names
 from gateway.model.robot import Robot
 from gateway.result.result import Bare
+from gateway.result.values import matrix, numbers
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -152,13 +153,13 @@ def bare_of(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) 
     value[rank:][~directions[rank:].any(axis=1)] = np.nan
     return Bare(
         robot=robot.name,
-        gravity_m_s2=tuple(float(g) for g in knowledge.gravity_m_s2),
+        gravity_m_s2=numbers(knowledge.gravity_m_s2),
         columns=tuple(base.indices.tolist()),
         names=base.names,
         value=tuple(value[:rank].tolist()),
-        covariance=tuple(tuple(row) for row in covariance[:rank, :rank].tolist()),
-        combination=tuple(tuple(row) for row in base.combination.tolist()),
+        covariance=matrix(covariance[:rank, :rank]),
+        combination=matrix(base.combination),
         offset_nm=tuple(value[rank + axes :].tolist()),
         gain=tuple(value[rank : rank + axes].tolist()),
-        gain_covariance=tuple(tuple(row) for row in covariance.tolist()),
+        gain_covariance=matrix(covariance),
     )

@@ -115,7 +115,20 @@ def _one(visits: Visits, reference: Visits, robot: Robot, knowledge: Knowledge, 
     own = visits.take(visits.load == label)
     pairs = _differences(own, reference, knowledge, label)
     differences = pairs.visits
-    _require_postures(differences, robot, knowledge, label)
+    # Refuse poses whose gravity directions give rank 3
+    if len(differences) < 2:
+        raise DataUnusable(
+            f"load '{label}': one posture gives rank 3, never four unknowns: the part of the centre of mass along"
+            " gravity turns no axis, whatever the arm; measure two postures or more in which gravity comes from sides"
+            " of the flange more than 30 degrees apart"
+        )
+    angle = largest_angle_rad(gravity_in_last_link(robot, differences.q_rad, knowledge.gravity_m_s2))
+    if angle < LEAST_ANGLE_RAD:
+        raise DataUnusable(
+            f"load '{label}': in all {len(differences)} common postures gravity comes from nearly one side of the"
+            f" flange ({np.rad2deg(angle):.0f} degrees apart at most, 30 needed), which gives rank 3; turn"
+            f" {wrist_in_words(robot)}"
+        )
     # the differences are visits of an arm with massless links and known loads
     stated = replace(knowledge.of_loads(differences.load), bare=None, known={})
     changes = GainChanges.none(gain_stds(knowledge.gain_std, robot.axes))
@@ -283,23 +296,6 @@ def _mean_visit(visits: Visits) -> Visits:
         visits.take(np.array([0])), q_rad=visits.q_rad.mean(axis=0)[None], sum_nm=_mean(visits.sum_nm)[None],
         sample_std_nm=spread[None], gear_nm=visits.gear_nm.max(axis=0)[None],
     )  # fmt: skip
-
-
-def _require_postures(differences: Visits, robot: Robot, knowledge: Knowledge, label: str) -> None:
-    """Refuse poses whose gravity directions give rank 3."""
-    if len(differences) < 2:
-        raise DataUnusable(
-            f"load '{label}': one posture gives rank 3, never four unknowns: the part of the centre of mass along"
-            " gravity turns no axis, whatever the arm; measure two postures or more in which gravity comes from sides"
-            " of the flange more than 30 degrees apart"
-        )
-    angle = largest_angle_rad(gravity_in_last_link(robot, differences.q_rad, knowledge.gravity_m_s2))
-    if angle < LEAST_ANGLE_RAD:
-        raise DataUnusable(
-            f"load '{label}': in all {len(differences)} common postures gravity comes from nearly one side of the"
-            f" flange ({np.rad2deg(angle):.0f} degrees apart at most, 30 needed), which gives rank 3; turn"
-            f" {wrist_in_words(robot)}"
-        )
 
 
 def _contradiction(visits: Visits, problem: RestProblem, fitted: Fit, masses: Mapping[str, float]) -> str | None:

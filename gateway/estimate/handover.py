@@ -20,6 +20,7 @@ from gateway.model.robot import Robot
 from gateway.model.visits import places_of
 from gateway.result.acceptance import no_body
 from gateway.result.result import Finding, FitSummary, Parameter, Result, Rows
+from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
@@ -52,8 +53,13 @@ def to_result(
     """
     loads = tuple(load_result(load, robot) for load in estimate.loads)
     unknown = np.full(len(estimate.sigma_nm), np.nan)
+    rows = None
+    if estimate.rows is not None:
+        step = max(1, int(np.ceil(len(estimate.rows.pose) / _MOST_ROWS)))
+        columns = FittedRows.__dataclass_fields__.keys() - {"leverage"}
+        rows = Rows.of(**{name: getattr(estimate.rows, name)[::step] for name in columns})
     rms = unknown if estimate.rows is None else estimate.rows.rms_nm
-    summary = FitSummary(rms_nm=_numbers(rms), holdout_rms_nm=_numbers(unknown), loads=loads)
+    summary = FitSummary(rms_nm=numbers(rms), holdout_rms_nm=numbers(unknown), loads=loads)
     quality = {
         "method": estimate.method,
         "rank": estimate.rank,
@@ -65,8 +71,8 @@ def to_result(
         loads=loads,
         before=summary,
         after=summary,
-        noise_floor_nm=_numbers(noise_floor_nm(estimate)),
-        friction_band_nm=_numbers(estimate.band_nm),
+        noise_floor_nm=numbers(noise_floor_nm(estimate)),
+        friction_band_nm=numbers(estimate.band_nm),
         next=estimate.next,
         findings=(*estimate.findings, *_findings(estimate, robot, knowledge)),
         nuisance=dict(estimate.nuisance),
@@ -78,7 +84,7 @@ def to_result(
             for name, value, std, unit in zip(estimate.names, estimate.value, estimate.std, estimate.units, strict=True)
         ),
         quality=quality | dict(estimate.quality),
-        rows=None if estimate.rows is None else _rows(estimate.rows),
+        rows=rows,
         bare=estimate.bare,
         motion=estimate.motion,
     )
@@ -244,23 +250,3 @@ def _one_sided(estimate: Estimate) -> list[Finding]:
             "approach every pose from both sides, slowly, by the same offset",
         )
     ]  # fmt: skip
-
-
-def _rows(rows: FittedRows) -> Rows:
-    step = max(1, int(np.ceil(len(rows.pose) / _MOST_ROWS)))
-    part = {name: getattr(rows, name)[::step] for name in FittedRows.__dataclass_fields__}
-    return Rows(
-        run=tuple(part["run"].tolist()),
-        load=tuple(part["load"].tolist()),
-        pose=tuple(int(k) for k in part["pose"]),
-        time_s=_numbers(part["time_s"]),
-        direction=tuple(tuple(int(k) for k in row) for row in part["direction"]),
-        **{
-            name: tuple(_numbers(row) for row in part[name])
-            for name in ("q_rad", "tau_nm", "model_nm", "band_nm", "std_nm")
-        },
-    )
-
-
-def _numbers(values: Floats) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)

@@ -17,7 +17,6 @@ from gateway.identify.gravity_sign import reversed_gravity
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.mass_change import mass_changes
-from gateway.identify.model_conflict import ModelConflict
 from gateway.identify.prior_loads import require_postures, unknown_labels
 from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -65,10 +64,15 @@ def estimate_joint(
     refused |= refused_loads(problem, fit, robot, knowledge)
     if not refused:
         gravity = reversed_gravity(robot, *settled.stated, knowledge)
-        if settled.conflict is not None and not gravity:
-            return _without_loads(settled, settled.conflict, robot)
-        found = _described(settled, robot)
-        return replace(found, findings=(*found.findings, *settled.findings, *gravity))
+        fitted, tested = with_place_effects(settled.fit), settled.knowledge
+        # widened by statements that may be wrong unseen
+        spread = spread_of_loads(robot, settled.problem, fitted, tested)
+        found = describe(settled.problem, fitted, robot, tested, spread)
+        findings = (*found.findings, *settled.findings)
+        if settled.conflict is None or gravity:
+            return replace(found, findings=(*findings, *gravity))
+        loads = tuple(refused_load(load.label, settled.conflict.reason) for load in found.loads)
+        return replace(found, loads=loads, findings=(*findings, settled.conflict.finding), bare=None)
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(refused[label] for label in problem.labels if label in refused)
     if not len(kept):
@@ -76,20 +80,6 @@ def estimate_joint(
         return Estimate(method="joint", loads=others, sigma_nm=unknown, band_nm=unknown)
     rest = estimate_joint(kept, robot, knowledge.of_loads(kept.load))
     return replace(rest, loads=(*rest.loads, *others))
-
-
-def _described(settled: SettledKnowledge, robot: Robot) -> Estimate:
-    """Return the estimate of a fit with effects of places, widened by statements that may be wrong unseen."""
-    problem, knowledge = settled.problem, settled.knowledge
-    fit = with_place_effects(settled.fit)
-    return describe(problem, fit, robot, knowledge, spread_of_loads(robot, problem, fit, knowledge))
-
-
-def _without_loads(settled: SettledKnowledge, conflict: ModelConflict, robot: Robot) -> Estimate:
-    """Return the estimate of data that contradict the robot model: every load is refused with the reason."""
-    found = _described(settled, robot)
-    loads = tuple(refused_load(load.label, conflict.reason) for load in found.loads)
-    return replace(found, loads=loads, findings=(*found.findings, *settled.findings, conflict.finding), bare=None)
 
 
 def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> dict[str, LoadEstimate]:

@@ -30,6 +30,7 @@ from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 from gateway.result.result import Bare, Finding
+from gateway.result.values import matrix, numbers
 
 Floats = NDArray[np.float64]
 
@@ -115,12 +116,12 @@ def _bare(visits: Visits, robot: Robot, knowledge: Knowledge, base: BaseSet, lab
     covariance = (base.combination * std**2) @ base.combination.T
     return Bare(
         robot=robot.name,
-        gravity_m_s2=tuple(float(g) for g in knowledge.gravity_m_s2),
+        gravity_m_s2=numbers(knowledge.gravity_m_s2),
         columns=tuple(base.indices.tolist()),
         names=base.names,
-        value=tuple((base.combination @ mean).tolist()),
-        covariance=tuple(tuple(row) for row in covariance.tolist()),
-        combination=tuple(tuple(row) for row in base.combination.tolist()),
+        value=numbers(base.combination @ mean),
+        covariance=matrix(covariance),
+        combination=matrix(base.combination),
         offset_nm=(np.nan,) * robot.axes,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.budget import CABLE, CONSTANTS, DRIFT, FRICTION, LINKS, ZEROS
+from gateway.identify.budget import CABLE, CONSTANTS, DRIFT, FRICTION, LINKS, NOISE, ZEROS
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.information import payload_information
@@ -63,6 +63,24 @@ def next_pose(
 
 #: Share of the mass's variance from which on a source is worth a line of its own.
 _DOMINANT_SHARE = 0.3
+#: Source -> what to do against it, what it is, and the share of its variance that is assumed to remain.
+_ACTIONS = {
+    CONSTANTS: ("mount a load of known mass and give it as --known", "errors of the torque constants", 0.0),
+    LINKS: ("mount a load of known mass, or weigh the links", "the uncertainty of the link parameters", 0.0),
+    DRIFT: ("warm the arm up, then measure {load}, bare, bare, {load}", "the drift of the torque readings", 0.0),
+    ZEROS: (
+        "calibrate the joint zeros, or choose poses that turn the wrist",
+        "the zero errors of the joints",
+        0.0,
+    ),
+    CABLE: (
+        "take hoses and cables off, or measure bare with them",
+        "forces of hoses and cables that come with the load",
+        0.0,
+    ),
+    FRICTION: ("approach every pose from both sides, bare, {load}, {load}, bare", "friction", 0.5),
+    NOISE: ("another block bare, {load}, {load}, bare", "noise", 0.5),
+}
 
 
 def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
@@ -77,35 +95,12 @@ def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
     share = load.budget[source]
     if share < _DOMINANT_SHARE:
         return None
-    percent = f"{100 * share:.0f} % of the variance of {load.label}'s mass comes from"
-    if source == CONSTANTS:
-        what = f"mount a load of known mass and give it as --known: {percent} errors of the torque constants"
-        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
-    if source == LINKS:
-        what = f"mount a load of known mass, or weigh the links: {percent} the uncertainty of the link parameters"
-        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
-    if source == DRIFT:
-        what = (
-            f"warm the arm up, then measure {load.label}, bare, bare, {load.label}: {percent} the "
-            "drift of the torque readings"
-        )
-        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
-    if source == ZEROS:
-        what = (
-            f"calibrate the joint zeros, or choose poses that turn the wrist: {percent} the zero errors of the joints"
-        )
-        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
-    if source == CABLE:
-        what = (
-            f"take hoses and cables off, or measure bare with them: {percent} forces of hoses and "
-            "cables that come with the load"
-        )
-        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
-    if source == FRICTION:
-        what = f"approach every pose from both sides, bare, {load.label}, {load.label}, bare: {percent} friction"
-        return NextMeasurement(what=what, reduction=float(np.sqrt(1.0 - share / 2.0)))
-    what = f"another block bare, {load.label}, {load.label}, bare: {percent} noise"
-    return NextMeasurement(what=what, reduction=float(np.sqrt(1.0 - share / 2.0)))
+    action, cause, remaining = _ACTIONS[source]
+    return NextMeasurement(
+        what=f"{action.format(load=load.label)}: {100 * share:.0f} % of the variance of {load.label}'s mass comes from"
+        f" {cause}",
+        reduction=float(np.sqrt(max(1.0 - share * (1.0 - remaining), 0.0))),
+    )
 
 
 def candidates(robot: Robot) -> Floats:

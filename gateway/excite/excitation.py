@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.motion.trajectory import Motion
+from gateway.result.values import plain_values
 
 Floats = NDArray[np.float64]
 Kind = Literal["series", "sweep"]
@@ -120,15 +121,7 @@ class Series:
 
     def plain(self) -> dict[str, Any]:
         """Return plain values for a recording or a plan file."""
-        return {
-            "name": self.name,
-            "kind": self.kind,
-            "start_rad": self.start_rad.tolist(),
-            "cosine_rad": self.cosine_rad.tolist(),
-            "sine_rad": self.sine_rad.tolist(),
-            "period_s": self.period_s,
-            "periods": self.periods,
-        }
+        return {"kind": self.kind, **plain_values(self)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -61,23 +61,22 @@ def excitation_of(plain: Mapping[str, Any], where: str) -> Excitation:
     """
     kind = plain.get("kind")
     if kind == "series":
-        return _series_of(decoded(_Series, plain, where), where)
-    if kind == "sweep":
-        return _sweep_of(decoded(_Sweep, plain, where), where)
-    raise InputError(f"{where}: kind: {kind!r} must be 'series' or 'sweep'")
-
-
-def _series_of(held: _Series, where: str) -> Series:
-    _refuse_numbers((held.start_rad, *held.cosine_rad, *held.sine_rad), (held.period_s,), held.periods, where)
-    start, cosine, sine = np.array(held.start_rad), _matrix(held.cosine_rad), _matrix(held.sine_rad)
-    if cosine.shape != sine.shape or cosine.ndim != 2 or len(cosine) != len(start) or not 1 < cosine.shape[1] < _MOST:
-        raise InputError(f"{where}: cosine_rad and sine_rad: each joint needs a row of at least two numbers")
-    series = Series(held.name, start, cosine, sine, held.period_s, held.periods)
-    _refuse_moving_start(series, where)
-    return series
-
-
-def _sweep_of(held: _Sweep, where: str) -> Sweep:
+        held = decoded(_Series, plain, where)
+        _refuse_numbers((held.start_rad, *held.cosine_rad, *held.sine_rad), (held.period_s,), held.periods, where)
+        start, cosine, sine = np.array(held.start_rad), _matrix(held.cosine_rad), _matrix(held.sine_rad)
+        same = cosine.shape == sine.shape and cosine.ndim == 2 and len(cosine) == len(start)
+        if not same or not 1 < cosine.shape[1] < _MOST:
+            raise InputError(f"{where}: cosine_rad and sine_rad: each joint needs a row of at least two numbers")
+        series = Series(held.name, start, cosine, sine, held.period_s, held.periods)
+        _, speed, acceleration, _ = series.at(np.zeros(1))
+        _, most_speed, most_acceleration, _ = series.at(np.linspace(0.0, series.period_s, 64))
+        for what, value, most in (("speed", speed, most_speed), ("acceleration", acceleration, most_acceleration)):
+            if np.abs(value).max() > 1e-6 * np.abs(most).max():
+                raise InputError(f"{where}: does not start at rest: its {what} at the start of a period is not zero")
+        return series
+    if kind != "sweep":
+        raise InputError(f"{where}: kind: {kind!r} must be 'series' or 'sweep'")
+    held = decoded(_Sweep, plain, where)
     positive = (*held.speeds_rad_s, held.acceleration_rad_s2, held.jerk_rad_s3)
     _refuse_numbers((held.start_rad, held.ends_rad), positive, held.periods, where)
     if not 1 <= held.joint <= len(held.start_rad):
@@ -103,15 +102,6 @@ def _refuse_numbers(lists: Matrix, positive: Numbers, periods: int, where: str) 
         raise InputError(f"{where}: a joint angle or a coefficient is not a finite number")
     if not all(0.0 < value < np.inf for value in positive) or not 1 <= periods <= _MOST:
         raise InputError(f"{where}: periods, durations, speeds and limits: positive numbers are needed")
-
-
-def _refuse_moving_start(series: Series, where: str) -> None:
-    """Refuse a speed or acceleration at the start beyond rounding."""
-    _, speed, acceleration, _ = series.at(np.zeros(1))
-    _, most_speed, most_acceleration, _ = series.at(np.linspace(0.0, series.period_s, 64))
-    for what, value, most in (("speed", speed, most_speed), ("acceleration", acceleration, most_acceleration)):
-        if np.abs(value).max() > 1e-6 * np.abs(most).max():
-            raise InputError(f"{where}: does not start at rest: its {what} at the start of a period is not zero")
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from gateway.excite.expected import (
     Purpose,
     TorqueNoise,
 )
-from gateway.excite.limits import PLANNED, MovingLimits, States, moving_limits, states_of
+from gateway.excite.limits import PLANNED, moving_limits, states_of
 from gateway.excite.plan_file import read_moving_plan
 from gateway.excite.plan_summary import plan_summary
 from gateway.excite.random_series import start_postures
@@ -107,7 +107,18 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     PlanRefused
         No free motion inside the limits, or a period or a number of periods out of range.
     """
-    _check_request(request)
+    if not request.purpose or not set(request.purpose) <= set(PURPOSES):
+        raise PlanRefused(f"no quantity to identify: name at least one of {', '.join(PURPOSES)}")
+    if not SHORTEST_PERIOD_S <= request.period_s <= LONGEST_PERIOD_S:
+        raise PlanRefused(
+            f"a period of {request.period_s:g} s: use {SHORTEST_PERIOD_S:g} to {LONGEST_PERIOD_S:g} s; a shorter"
+            " period allows too little travel, in a longer one gravity dominates"
+        )
+    if not FEWEST_PERIODS <= request.periods <= MOST_PERIODS:
+        raise PlanRefused(
+            f"{request.periods} periods: use {FEWEST_PERIODS} to {MOST_PERIODS}, three are usual; a single period"
+            " does not separate motion from noise"
+        )
     config = arm_named(loaded, arm)
     refuse_beyond_counts(loaded, config)
     robot = arm_robot(loaded, config)
@@ -121,7 +132,16 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     load = request.load or assumed_load(
         "reference", *reference_load(workspace, starts), "half of the load that the arm can carry"
     )
-    asked = _asked(config, workspace, noise, load, request.purpose)
+    # The requested quantities, each purpose once, in the order of `PURPOSES`
+    carried = links_with_loads(workspace, config, ())
+    links = None if carried is None else carried[:, 0]
+    asked: dict[Purpose, AskedNumbers] = {}
+    if "load" in request.purpose:
+        asked["load"] = LoadAsked(workspace, noise, load, links)
+    if "friction" in request.purpose:
+        asked["friction"] = DriveTrainAsked.of(workspace, noise, "friction", links, config.link_std)
+    if "rotor" in request.purpose:
+        asked["rotor"] = DriveTrainAsked.of(workspace, noise, "rotor", links, config.link_std)
     excitations: list[Excitation] = []
     by_series = tuple(each for name, each in asked.items() if name != "friction" or request.friction_by == "series")
     over_random = None
@@ -141,41 +161,10 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     return plan
 
 
-def _check_request(request: MovingRequest) -> None:
-    if not request.purpose or not set(request.purpose) <= set(PURPOSES):
-        raise PlanRefused(f"no quantity to identify: name at least one of {', '.join(PURPOSES)}")
-    if not SHORTEST_PERIOD_S <= request.period_s <= LONGEST_PERIOD_S:
-        raise PlanRefused(
-            f"a period of {request.period_s:g} s: use {SHORTEST_PERIOD_S:g} to {LONGEST_PERIOD_S:g} s; a shorter"
-            " period allows too little travel, in a longer one gravity dominates"
-        )
-    if not FEWEST_PERIODS <= request.periods <= MOST_PERIODS:
-        raise PlanRefused(
-            f"{request.periods} periods: use {FEWEST_PERIODS} to {MOST_PERIODS}, three are usual; a single period"
-            " does not separate motion from noise"
-        )
-
-
 def _noise(loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> TorqueNoise:
     """Return the assumed torque noise of an arm, and the standard deviations of its torque constants."""
     gain_std = np.maximum(constants_std(config, profile_of((), loaded)), 1e-9)
     return TorqueNoise(assumed_noise_nm(workspace), CORRELATION_S, NOISE_SOURCE, gain_std)
-
-
-def _asked(
-    config: ArmConfig, workspace: Workspace, noise: TorqueNoise, load: FeedLoad, purposes: Sequence[Purpose]
-) -> dict[Purpose, AskedNumbers]:
-    """Return the requested quantities, each purpose once, in the order of `PURPOSES`."""
-    carried = links_with_loads(workspace, config, ())
-    links = None if carried is None else carried[:, 0]
-    found: dict[Purpose, AskedNumbers] = {}
-    if "load" in purposes:
-        found["load"] = LoadAsked(workspace, noise, load, links)
-    if "friction" in purposes:
-        found["friction"] = DriveTrainAsked.of(workspace, noise, "friction", links, config.link_std)
-    if "rotor" in purposes:
-        found["rotor"] = DriveTrainAsked.of(workspace, noise, "rotor", links, config.link_std)
-    return found
 
 
 def _anchors(config: ArmConfig, workspace: Workspace) -> Floats:
@@ -215,15 +204,11 @@ def check_moving_plan(
         if reason is not None:
             raise PlanRefused(f"{where}: starts at {angles(start)}: {reason}")
         states = states_of(excitation, excitation.period_s / CHECKED)
-        _check_shares(limits, states, where)
+        share = limits.shares(states)
+        row, column = np.unravel_index(np.argmax(share), share.shape)
+        if not share[row, column] <= 1.0 + _CLOSE:
+            taken, there = share[row, column], angles(states.q_rad[row])
+            raise PlanRefused(f"{where}: {limits.names[column]} reaches {taken:.2f} of its limit at {there}")
         reason = workspace.why_not_path(np.vstack([start, states.q_rad[::PROVEN], start]))
         if reason is not None:
             raise PlanRefused(f"{where}: {reason}")
-
-
-def _check_shares(limits: MovingLimits, states: States, where: str) -> None:
-    share = limits.shares(states)
-    row, column = np.unravel_index(np.argmax(share), share.shape)
-    if not share[row, column] <= 1.0 + _CLOSE:
-        taken, there = share[row, column], angles(states.q_rad[row])
-        raise PlanRefused(f"{where}: {limits.names[column]} reaches {taken:.2f} of its limit at {there}")

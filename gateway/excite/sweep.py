@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.excite.excitation import Kind
 from gateway.motion.trajectory import Motion, MotionLimits, straight, straight_duration_s
+from gateway.result.values import plain_values
 
 Floats = NDArray[np.float64]
 
@@ -74,14 +75,4 @@ class Sweep:
 
     def plain(self) -> dict[str, Any]:
         """Return plain values for a recording or a plan file."""
-        return {
-            "name": self.name,
-            "kind": self.kind,
-            "joint": self.joint,
-            "start_rad": self.start_rad.tolist(),
-            "speeds_rad_s": self.speeds_rad_s.tolist(),
-            "ends_rad": self.ends_rad.tolist(),
-            "acceleration_rad_s2": self.acceleration_rad_s2,
-            "jerk_rad_s3": self.jerk_rad_s3,
-            "periods": self.periods,
-        }
+        return {"kind": self.kind, **plain_values(self)}

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.cell.config import ArmConfig, AxisConfig, LoadedCell, SourcedNumber
+from gateway.cell.config import ArmConfig, AxisConfig, LoadedCell
 from gateway.errors import InputError
 from gateway.feedforward.load import other_origin, sourced
 from gateway.model.robot import Robot
@@ -158,9 +158,8 @@ def axis_constants(arm: ArmConfig, identified: Identified | None) -> tuple[AxisC
         A constant contradicts the stated one, or is significantly negative; every such constant is named.
     """
     held = {} if identified is None else {axis.joint: axis for axis in identified.result.motion}
-    found = [
-        _Axis(axis, held.get(joint), identified).constants(f"J{joint}") for joint, axis in enumerate(arm.axis, start=1)
-    ]
+    source = "" if identified is None else identified.source
+    found = [_axis(f"J{joint}", axis, held.get(joint), source) for joint, axis in enumerate(arm.axis, start=1)]
     wrong = [what for _, several in found for what in several]
     if wrong and identified is not None:
         raise InputError(
@@ -170,76 +169,52 @@ def axis_constants(arm: ArmConfig, identified: Identified | None) -> tuple[AxisC
     return tuple(constants for constants, _ in found)
 
 
-class _Axis:
-    """Stated and identified values of one axis, and the source of the identified ones."""
-
-    def __init__(self, stated: AxisConfig, held: AxisMotion | None, identified: Identified | None) -> None:
-        self._stated, self._identified = stated, held
-        self._source = "" if identified is None else identified.source
-        self._notes: list[str] = []
-        self._wrong: list[str] = []
-
-    def constants(self, joint: str) -> tuple[AxisConstants, list[str]]:
-        """Return the constants to use for the axis, and the contradictions."""
-        stated, held = self._stated, self._identified or AxisMotion(0)
-        rotor = self._one(
+def _axis(joint: str, stated: AxisConfig, held: AxisMotion | None, source: str) -> tuple[AxisConstants, list[str]]:
+    """Return the constants of one axis, identified in motion (`held`) or else stated, and the contradictions."""
+    motion = held or AxisMotion(0)
+    known, notes, wrong = list[Known | None](), list[str](), list[str]()
+    for name, unit, given, value, std in (
+        (
             "rotor inertia",
+            "kg m2",
             stated.rotor_inertia_kg_m2,
-            (held.rotor_inertia_kg_m2, held.rotor_inertia_std_kg_m2, "kg m2"),
-        )
-        coulomb = self._one("Coulomb friction", stated.coulomb_nm, (held.coulomb_nm, held.coulomb_std_nm, "Nm"))
-        viscous = self._one(
-            "viscous friction",
-            stated.viscous_nm_s_rad,
-            (held.viscous_nm_s_rad, held.viscous_std_nm_s_rad, "Nm s/rad"),
-        )
-        breakaway, stribeck, lost = NAN, NAN, 0.0
-        if coulomb is not None and coulomb.identified:  # one curve: its parts are not mixed with stated ones
-            breakaway, stribeck = self._onset(coulomb.value, held)
-            lost = self._lost(held)
-        constants = AxisConstants(rotor, coulomb, viscous, lost, breakaway, stribeck, tuple(self._notes))
-        return constants, [f"{joint} {what}" for what in self._wrong]
-
-    def _one(self, name: str, stated: SourcedNumber | None, said: tuple[float, float, str]) -> Known | None:
-        fallback = None if stated is None else Known(stated.value, stated.source)
-        value, std, unit = said
-        if self._identified is None:
-            return fallback
-        half = half_width(std)
-        number = f"{with_interval(value, std)} {unit}"
-        instead = "the stated value is used" if stated is not None else "the term is left out"
+            motion.rotor_inertia_kg_m2,
+            motion.rotor_inertia_std_kg_m2,
+        ),
+        ("Coulomb friction", "Nm", stated.coulomb_nm, motion.coulomb_nm, motion.coulomb_std_nm),
+        ("viscous friction", "Nm s/rad", stated.viscous_nm_s_rad, motion.viscous_nm_s_rad, motion.viscous_std_nm_s_rad),
+    ):
+        known.append(None if given is None else Known(given.value, given.source))
+        if held is None:
+            continue
+        half, number = half_width(std), f"{with_interval(value, std)} {unit}"
+        instead = "the stated value is used" if given is not None else "the term is left out"
         if not math.isfinite(value):
-            self._notes.append(f"{name} was not identified: {instead}")
-            return fallback
-        if value < -(half if math.isfinite(half) else 0.0):
-            self._wrong.append(f"{name} is negative ({number}), which is not possible")
-            return fallback
-        if not half <= LARGEST_HALF * max(value, 0.0):
-            self._notes.append(f"the uncertainty of {name} is too large ({number}): {instead}")
-            return fallback
-        if stated is not None:
-            self._compare(name, stated.value, (value, half), number)
-        return Known(value, self._source, identified=True)
-
-    def _compare(self, name: str, stated: float, said: tuple[float, float], number: str) -> None:
-        value, half = said
-        low, high = value - half, value + half
-        if low > REFUSED_FACTOR * stated or high < stated / REFUSED_FACTOR:
-            self._wrong.append(f"{name}: {number} was identified, but {stated:g} is stated; one of the two is wrong")
-        elif not stated / SAID_FACTOR <= value <= SAID_FACTOR * stated:
-            self._notes.append(f"{name}: {number} was identified and is used; {stated:g} is stated")
-
-    def _onset(self, coulomb_nm: float, held: AxisMotion) -> tuple[float, float]:
-        """Return breakaway torque and Stribeck speed; NaN where not known."""
-        known = math.isfinite(held.breakaway_nm) and half_width(held.breakaway_std_nm) <= held.breakaway_nm
-        if not known or held.breakaway_nm <= coulomb_nm or not held.stribeck_rad_s > 0.0:
-            return NAN, NAN
-        return held.breakaway_nm, held.stribeck_rad_s
-
-    def _lost(self, held: AxisMotion) -> float:
-        """Return the load friction if it exceeds its standard error, else 0."""
-        half = half_width(held.load_friction_std)
-        return held.load_friction if math.isfinite(held.load_friction) and held.load_friction > half else 0.0
+            notes.append(f"{name} was not identified: {instead}")
+        elif value < -(half if math.isfinite(half) else 0.0):
+            wrong.append(f"{joint} {name} is negative ({number}), which is not possible")
+        elif not half <= LARGEST_HALF * max(value, 0.0):
+            notes.append(f"the uncertainty of {name} is too large ({number}): {instead}")
+        else:
+            known[-1] = Known(value, source, identified=True)
+            if given is None:
+                continue
+            low, high = value - half, value + half
+            if low > REFUSED_FACTOR * given.value or high < given.value / REFUSED_FACTOR:
+                wrong.append(
+                    f"{joint} {name}: {number} was identified, but {given.value:g} is stated; one of the two is wrong"
+                )
+            elif not given.value / SAID_FACTOR <= value <= SAID_FACTOR * given.value:
+                notes.append(f"{name}: {number} was identified and is used; {given.value:g} is stated")
+    rotor, coulomb, viscous = known
+    breakaway, stribeck, lost = NAN, NAN, 0.0
+    if coulomb is not None and coulomb.identified:  # one curve: its parts are not mixed with stated ones
+        certain = math.isfinite(motion.breakaway_nm) and half_width(motion.breakaway_std_nm) <= motion.breakaway_nm
+        if certain and motion.breakaway_nm > coulomb.value and motion.stribeck_rad_s > 0.0:
+            breakaway, stribeck = motion.breakaway_nm, motion.stribeck_rad_s
+        if motion.load_friction > half_width(motion.load_friction_std):
+            lost = motion.load_friction
+    return AxisConstants(rotor, coulomb, viscous, lost, breakaway, stribeck, tuple(notes)), wrong
 
 
 def notes_of(notes: Sequence[Sequence[str]]) -> Iterator[tuple[str, str]]:

@@ -101,7 +101,15 @@ def identified_load(result: Result, label: str | None, where: str, bounds: LoadB
     InputError
         The load is given in another frame than link 6.
     """
-    chosen = _chosen(result, label, where)
+    if not result.loads:
+        raise DataUnusable(f"{where}: holds no identified load; estimate one first: servo-gateway estimate DATA --json")
+    known = ", ".join(load.label for load in result.loads)
+    named = [load for load in result.loads if label in (None, load.label)]
+    if not named:
+        raise ConfigError(f"{where}: holds no load '{label}'; it holds {known}")
+    if label is None and len(result.loads) > 1:
+        raise ConfigError(f"{where}: holds several loads ({known}); name one with --label")
+    chosen = named[0]
     if chosen.frame != FRAME:
         raise InputError(f"{where}: load '{chosen.label}' is given in frame '{chosen.frame}', {FRAME} is needed")
     if chosen.refused:
@@ -139,18 +147,6 @@ def sourced(what: str, result: Result, where: str) -> str:
     """Return a source text such as `identified, result.json of 2026-11-22 20:31 UTC`."""
     created = None if result.data is None else result.data.created
     return f"{what}, {Path(where).name}" + (f" of {created}" if created else "")
-
-
-def _chosen(result: Result, label: str | None, where: str) -> LoadResult:
-    if not result.loads:
-        raise DataUnusable(f"{where}: holds no identified load; estimate one first: servo-gateway estimate DATA --json")
-    known = ", ".join(load.label for load in result.loads)
-    named = [load for load in result.loads if label in (None, load.label)]
-    if not named:
-        raise ConfigError(f"{where}: holds no load '{label}'; it holds {known}")
-    if label is None and len(result.loads) > 1:
-        raise ConfigError(f"{where}: holds several loads ({known}); name one with --label")
-    return named[0]
 
 
 def check_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robot, where: str) -> None:

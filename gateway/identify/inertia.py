@@ -103,7 +103,11 @@ def nearest_body(ten: Floats, covariance: Floats) -> FittedBody:
     # least uncertainty of the moments: a body that is barely too thin must not be corrected by its mass
     hair = np.concatenate([np.zeros(4), np.full(6, (ten[0] * _HAIR_M**2) ** 2)])
     whiten = _whitening(covariance + np.diag(hair))
-    start = _start(ten)
+    # Start values of a nearby physical body: negative second moments are cut off
+    size, vectors = np.linalg.eigh(second_moments(ten) / ten[0])
+    thick = (vectors * np.maximum(size, (10.0 * _THINNEST_M) ** 2)) @ vectors.T
+    root = np.linalg.cholesky(thick)
+    start = np.concatenate([[0.0], ten[1:4] / ten[0], root[np.tril_indices(3)]])
     found = least_squares(
         lambda unknown: whiten @ (_body(unknown, ten[0]) - ten),
         start,
@@ -117,14 +121,6 @@ def _whitening(covariance: Floats) -> Floats:
     std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     size, vectors = np.linalg.eigh(covariance / std / std[:, None])
     return (vectors / np.sqrt(np.maximum(size, 1e-10 * size[-1]))).T / std
-
-
-def _start(ten: Floats) -> Floats:
-    """Start values of a nearby physical body: negative second moments are cut off."""
-    size, vectors = np.linalg.eigh(second_moments(ten) / ten[0])
-    thick = (vectors * np.maximum(size, (10.0 * _THINNEST_M) ** 2)) @ vectors.T
-    root = np.linalg.cholesky(thick)
-    return np.concatenate([[0.0], ten[1:4] / ten[0], root[np.tril_indices(3)]])
 
 
 def _body(unknown: Floats, mass_kg: float) -> Floats:

@@ -180,7 +180,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
         com_std_m=tuple(load.com_std_m.tolist()) if known.any() else None,
         frame="link_6" if robot is None else robot.last_link,
         com_flange_m=None if flange is None or not known.all() else tuple(in_flange(load.com_m, flange).tolist()),
-        correlation=tuple(tuple(row) for row in load.correlation.tolist()) if reported else None,
+        correlation=matrix(load.correlation) if reported else None,
         unidentifiable=(*load.unidentifiable, *open_),
         per_pose_mass_kg=dict(load.per_pose_mass_kg),
         budget=dict(load.budget),

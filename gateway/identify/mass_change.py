@@ -65,8 +65,31 @@ def _change(problem: RestProblem, fit: Fit, label: str, before: float) -> str | 
 
 def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: int, before: float) -> str | None:
     """Return the reason if the visits of a label carry two masses, in time order or reversed; else None."""
-    cut = _likeliest(problem, fit, order)
-    divided = _divided(problem, order[cut:])
+    # Visit in time order from which a further body explains most of the residual
+    weight, last_link = 1.0 / fit.noise.of_rows(problem), problem.link_part.stop - 4
+    place = np.full(len(problem.rows), -1)
+    place[order] = np.arange(len(order))[::-1]  # sums over the visits begin at the last one
+    rows = np.flatnonzero(place[problem.visit] >= 0)
+    body = (fit.columns.times(np.eye(len(fit.scale))[:, last_link : last_link + 4]) * weight[:, None])[rows]
+    products = [body * column[:, None] for column in (*body.T, (fit.residual * weight)[rows])]
+    own = place[problem.visit[rows]]
+    sums = [np.bincount(own, column, len(order)) for column in np.hstack(products).T]
+    size, slope = np.split(np.cumsum(sums, axis=1).T, [16], axis=1)
+    taken = fit.columns.across_by(body / fit.weighed_by.of_rows(problem)[rows, None], rows, own, len(order))
+    shared = fit.inverse.T @ np.cumsum(taken, axis=0)
+    left = np.linalg.pinv(size.reshape(-1, 4, 4) - shared.transpose(0, 2, 1) @ shared, rcond=1e-6, hermitian=True)
+    gains = np.einsum("vi,vij,vj->v", slope, left, slope)[::-1]
+    cut = int(np.argmax(gains[_LEAST_VISITS : len(order) - _LEAST_VISITS + 1])) + _LEAST_VISITS
+    # The problem with a further body on the later visits, as the last load
+    member = np.zeros((len(problem.rows), 1))
+    member[order[cut:]] = 1.0
+    at = problem.load_part(len(problem.labels)).start
+    divided = replace(
+        problem,
+        labels=(*problem.labels, "later"),
+        member=np.hstack([problem.member, member]),
+        prior_rows=np.insert(problem.prior_rows, [at] * 4, 0.0, axis=1),
+    )
     second = fit_without_effects(divided)
     more = divided.load_part(len(problem.labels)).start
     change_kg, std_kg = float(second.loads[-1, 0]), float(np.sqrt(second.covariance[more, more]))
@@ -89,35 +112,4 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
     return (
         f"its rows contradict each other: {early_kg:.3g} kg up to pose {problem.rows.pose[last]}, {later_kg:.3g} kg"
         f" from pose {problem.rows.pose[then]} on (standard deviation of the change {std_kg:.2g} kg): {what}"
-    )
-
-
-def _likeliest(problem: RestProblem, fit: Fit, order: Ints) -> int:
-    """Visit in time order from which a further body explains most of the residual."""
-    weight, last = 1.0 / fit.noise.of_rows(problem), problem.link_part.stop - 4
-    place = np.full(len(problem.rows), -1)
-    place[order] = np.arange(len(order))[::-1]  # sums over the visits begin at the last one
-    rows = np.flatnonzero(place[problem.visit] >= 0)
-    body = (fit.columns.times(np.eye(len(fit.scale))[:, last : last + 4]) * weight[:, None])[rows]
-    products = [body * column[:, None] for column in (*body.T, (fit.residual * weight)[rows])]
-    own = place[problem.visit[rows]]
-    sums = [np.bincount(own, column, len(order)) for column in np.hstack(products).T]
-    size, slope = np.split(np.cumsum(sums, axis=1).T, [16], axis=1)
-    taken = fit.columns.across_by(body / fit.weighed_by.of_rows(problem)[rows, None], rows, own, len(order))
-    shared = fit.inverse.T @ np.cumsum(taken, axis=0)
-    left = np.linalg.pinv(size.reshape(-1, 4, 4) - shared.transpose(0, 2, 1) @ shared, rcond=1e-6, hermitian=True)
-    gains = np.einsum("vi,vij,vj->v", slope, left, slope)[::-1]
-    return int(np.argmax(gains[_LEAST_VISITS : len(order) - _LEAST_VISITS + 1])) + _LEAST_VISITS
-
-
-def _divided(problem: RestProblem, later: Ints) -> RestProblem:
-    """Return the problem with a further body on the later visits, as the last load."""
-    member = np.zeros((len(problem.rows), 1))
-    member[later] = 1.0
-    at = problem.load_part(len(problem.labels)).start
-    return replace(
-        problem,
-        labels=(*problem.labels, "later"),
-        member=np.hstack([problem.member, member]),
-        prior_rows=np.insert(problem.prior_rows, [at] * 4, 0.0, axis=1),
     )

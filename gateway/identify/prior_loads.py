@@ -97,7 +97,11 @@ def bare_rows(bare: Bare, change: float = 1.0) -> tuple[Floats, Floats]:
     rows[:rank, :links] = combination
     rows[rank + np.arange(len(stored)), links + stored] = 1.0
     both = np.concatenate([np.arange(rank), rank + stored])
-    return _whitened(rows, np.concatenate([value, further[stored]]), covariance[np.ix_(both, both)])
+    right = np.concatenate([value, further[stored]])
+    size, vectors = np.linalg.eigh(covariance[np.ix_(both, both)])
+    size = np.maximum(size, max(_SUREST * float(size.max(initial=0.0)), _EXACT_KG**2))
+    whiten = (vectors / np.sqrt(size)).T
+    return whiten @ rows, whiten @ right
 
 
 def stored_errors(bare: Bare) -> NDArray[np.bool_]:
@@ -111,10 +115,3 @@ def _stored(bare: Bare) -> Floats:
     return np.concatenate(
         [np.resize(bare.gain or np.nan, len(bare.offset_nm)), np.asarray(bare.offset_nm, dtype=float)]
     )
-
-
-def _whitened(rows: Floats, right: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-    size, vectors = np.linalg.eigh(covariance)
-    size = np.maximum(size, max(_SUREST * float(size.max(initial=0.0)), _EXACT_KG**2))
-    whiten = (vectors / np.sqrt(size)).T
-    return whiten @ rows, whiten @ right

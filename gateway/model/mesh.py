@@ -112,18 +112,16 @@ def simple_corners(points: Floats) -> Floats:
     return middle + enlarged * extent @ axes.T
 
 
-def _directions() -> Floats:
-    """Return unit vectors (n, 3) evenly distributed on a sphere (a Fibonacci lattice), and those of the axes."""
+def _farthest(points: Floats) -> NDArray[np.intp]:
+    """Return the index of the farthest point in each direction."""
+    # Unit vectors (n, 3) evenly distributed on a sphere (a Fibonacci lattice), and those of the axes
     count = MOST_CORNERS // 2 - 6
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
     wide = np.sqrt(1.0 - height**2)
-    return np.vstack([np.column_stack([wide * np.cos(angle), wide * np.sin(angle), height]), np.eye(3), -np.eye(3)])
-
-
-def _farthest(points: Floats) -> NDArray[np.intp]:
-    """Return the index of the farthest point in each direction."""
-    directions = _directions()
+    directions = np.vstack(
+        [np.column_stack([wide * np.cos(angle), wide * np.sin(angle), height]), np.eye(3), -np.eye(3)]
+    )
     best, row = np.full(len(directions), -np.inf), np.zeros(len(directions), dtype=np.intp)
     for number, part in enumerate(_parts(points)):
         along = part @ directions.T
@@ -171,23 +169,19 @@ def read_vertices(path: Path) -> Floats:
     if kind == ".stl" and len(data) == _HEAD + count * _TRIANGLE.itemsize:
         points = np.frombuffer(data, _TRIANGLE, count, _HEAD)["corners"].reshape(-1, 3).astype(float)
     else:
-        points = _from_text(data, _WORDS[kind], path.name)
+        rows = (line.split() for line in io.BytesIO(data))
+        vertices = (row[1:4] for row in rows if row and row[0] == _WORDS[kind].encode())
+        parts = [np.empty((0, 3))]
+        try:
+            while part := list(islice(vertices, _AT_ONCE)):
+                parts.append(np.array([[float(value) for value in row] for row in part]).reshape(-1, 3))
+                if len(parts) * _AT_ONCE > MOST_VERTICES:
+                    raise MeshError(f"{path.name} is not used: it has more than {MOST_VERTICES} vertices")
+        except ValueError as error:
+            if isinstance(error, MeshError):
+                raise
+            raise MeshError(f"{path.name} has a vertex that is not three numbers") from error
+        points = np.vstack(parts)
     if not len(points) or not np.isfinite(points).all():
         raise MeshError(f"{path.name} has no vertices, or vertices that are not numbers")
     return points
-
-
-def _from_text(data: bytes, word: str, name: str) -> Floats:
-    rows = (line.split() for line in io.BytesIO(data))
-    vertices = (row[1:4] for row in rows if row and row[0] == word.encode())
-    parts = [np.empty((0, 3))]
-    try:
-        while part := list(islice(vertices, _AT_ONCE)):
-            parts.append(np.array([[float(value) for value in row] for row in part]).reshape(-1, 3))
-            if len(parts) * _AT_ONCE > MOST_VERTICES:
-                raise MeshError(f"{name} is not used: it has more than {MOST_VERTICES} vertices")
-    except ValueError as error:
-        if isinstance(error, MeshError):
-            raise
-        raise MeshError(f"{name} has a vertex that is not three numbers") from error
-    return np.vstack(parts)

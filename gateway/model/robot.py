@@ -231,12 +231,7 @@ def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
         frames=tuple((frame.name, _chained(frame.poses)) for frame in chain.frames),
         remarks=tuple(_remarks(chain, where)),
     )
-    _refuse_units(robot, where)
-    return robot
-
-
-def _refuse_units(robot: Robot, where: str) -> None:
-    """Refuse lengths and masses that no arm has: a URDF is in metres and kilograms."""
+    # Refuse lengths and masses that no arm has: a URDF is in metres and kilograms
     from_joints_m = np.linalg.norm(np.nan_to_num(robot.com_m), axis=1).max()
     for what, length_m in (("from joint to joint", reach_m(robot)), ("to a centre of mass", float(from_joints_m))):
         if length_m > LONGEST_M:
@@ -251,6 +246,7 @@ def _refuse_units(robot: Robot, where: str) -> None:
             f"{where}: the moving links of robot '{robot.name}' weigh {mass_kg:.4g} kg at a reach of"
             f" {reach_m(robot):.3g} m: its masses are in grams; export it in kilograms (and inertia in kg m2)"
         )
+    return robot
 
 
 def or_another_tip(robot: Robot, axes: int) -> str:

@@ -59,10 +59,7 @@ def read_urdf(path: Path) -> str:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; name the URDF of the arm") from error
     except ValueError as error:
         raise ConfigError(f"{path}: {error}; name the URDF of the arm") from error
-    return _decoded(data, str(path))
-
-
-def _decoded(data: bytes, where: str) -> str:
+    where = str(path)
     marked = next((encoding for mark, encoding in _MARKS if data.startswith(mark)), None)
     declared = _DECLARED.search(data[:200])
     name = marked or (declared[1].decode("ascii") if declared else "utf-8")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from drives.datasheet.sheet import Sheet
 from drives.objects import OBJECTS
-from drives.profile import Constant, DriveProfile, ObjectReference, Signal
+from drives.profile import Constant, DriveProfile, ObjectReference
 from drives.values import Identity
 
 Address = tuple[int, int]
@@ -50,6 +50,11 @@ class SeenNode:
         """Return the value of a standard object."""
         return self.values.get(OBJECTS[name].address)
 
+    def number(self, reference: ObjectReference) -> int | None:
+        """Return the value of an object that a profile names; None if unknown."""
+        read = self.values.get((reference.index, reference.subindex))
+        return None if read is None else read.value
+
 
 def of_axes(nodes: Sequence[int], on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode]) -> list[SeenNode | None]:
     """Return the known data of the device of each axis; readings take precedence over files.
@@ -78,47 +83,6 @@ def _file_of(axis: int, node_id: int, axes: int, in_files: Sequence[SeenNode]) -
     if len(in_files) == axes:
         return in_files[axis]
     return in_files[0] if len(in_files) == 1 else None
-
-
-def rated_torque_nm(profile: DriveProfile, node: SeenNode) -> float | None:
-    """Return the rated torque [Nm] according to the profile; None if unknown."""
-    rated = [
-        signal.rated
-        for signal in (profile.torque, profile.torque_offset)
-        if signal is not None and signal.kind == "permille_rated_torque"
-    ]
-    for each in rated:
-        if each is not None:
-            value = each.value if each.object is None else _scaled(node, each.object, each.unit)
-            if value:
-                return value
-    return None
-
-
-def rated_current_a(profile: DriveProfile, node: SeenNode) -> float | None:
-    """Return the rated current [A] in the unit of the torque constant; None if unknown."""
-    for signal in (profile.torque, profile.current):
-        if isinstance(signal, Signal) and signal.kind == "permille_rated_current" and signal.rated is not None:
-            rated = signal.rated
-            value = rated.value if rated.object is None else _scaled(node, rated.object, rated.unit)
-            if value:
-                return value * signal.current_factor
-    return None
-
-
-def _scaled(node: SeenNode, where: ObjectReference, unit: float | None) -> float | None:
-    read = node.values.get((where.index, where.subindex))
-    return None if read is None or unit is None or read.value <= 0 else read.value * unit
-
-
-def counts_per_turn(profile: DriveProfile, node: SeenNode) -> float | None:
-    """Return the position counts per motor revolution; None if unknown."""
-    counts = profile.position.counts_per_revolution
-    if isinstance(counts, Constant):
-        return counts.value
-    turn = _scaled(node, counts.object, 1.0)
-    per = 1.0 if counts.per is None else _scaled(node, counts.per, 1.0)
-    return None if turn is None or per is None else turn / per
 
 
 def addresses(profiles: Sequence[DriveProfile]) -> dict[Address, str]:

@@ -16,7 +16,7 @@ from gateway.model.placeholders import effort_placeholder, mass_placeholder
 from gateway.model.robot import Robot
 from gateway.model.urdf import FLANGES, flange_kind
 from gateway.newcell.answers import ASSUMED, Answer
-from gateway.newcell.nodes import SeenNode, counts_per_turn, rated_current_a, rated_torque_nm
+from gateway.newcell.nodes import SeenNode
 from gateway.result.inertia import zyx_degrees
 
 #: Assumed gear efficiency; harmonic and cycloidal gears have 0.65 to 0.9 at rated torque.
@@ -82,8 +82,8 @@ def torque_constant(axes: Axes) -> Answer | None:
     """Return rated torque over rated current; valid only if both are motor ratings."""
     found: list[float] = []
     for node, profile in zip(axes.nodes, axes.profiles, strict=True):
-        torque = None if node is None else rated_torque_nm(profile, node)
-        current = None if node is None else rated_current_a(profile, node)
+        torque = None if node is None else profile.rated_torque_nm(node.number)
+        current = None if node is None else profile.rated_current_a(node.number)
         if torque is None or current is None:
             return None
         found.append(torque / current)
@@ -116,7 +116,7 @@ def _drive_range_rad(axes: Axes, joint: int, sign: float, zero_rad: float) -> tu
         return None
     if is_assumed(low.source) or _shifted(node):
         return None
-    counts = counts_per_turn(profile, node)
+    counts = profile.position.counts(node.number)
     if counts is None:
         return None
     ends = [zero_rad + sign / ratio * 2.0 * math.pi * end.value / counts for end in (low, high)]
@@ -169,7 +169,7 @@ def _drive_torque_nm(axes: Axes, joint: int) -> float | None:
     """Return the joint torque limit of the drive: rated torque x 0x6072 x gear ratio."""
     node, profile = axes.nodes[joint], axes.profiles[joint]
     limit = None if node is None else node.read("max_torque")
-    rated = None if node is None else rated_torque_nm(profile, node)
+    rated = None if node is None else profile.rated_torque_nm(node.number)
     if limit is None or rated is None or limit.value <= 0:
         return None
     return _rounded(rated * limit.value / 1000.0 * abs(axes.ratio[joint]))

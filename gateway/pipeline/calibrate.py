@@ -34,7 +34,6 @@ from gateway.pipeline.calibration_checks import (
     LARGEST_SHARE,
     PRIOR_STD,
     AxisCalibration,
-    Places,
     Weight,
     carried_by_none,
     common_finding,
@@ -117,7 +116,12 @@ def calibrate(
     mismatch = tuple(mass_finding(visits, robot, knowledge, weight))
     if not any(axis.is_known for axis in axes):
         why = carried_by_none(load_nm, np.nan_to_num(noise_nm, nan=np.inf), stated_std(about, robot.axes))
-        raise DataUnusable(f"load '{weight.label}' calibrates no axis: {why or _best(axes)}; nothing is stored")
+        least = min(axes, key=lambda axis: axis.std / axis.stated_std)
+        why = why or (
+            f"the smallest standard deviation is {100 * least.std:.2g} % (J{least.joint}); use a heavier load or more"
+            " poses"
+        )
+        raise DataUnusable(f"load '{weight.label}' calibrates no axis: {why}; nothing is stored")
     stored = ArmCalibration(
         name=arm.name,
         measured=now,
@@ -129,18 +133,11 @@ def calibrate(
         data=tuple(data),
         axis=tuple(_stored(arm, about, axes, fitted_rows(problem, fit).rms_nm, visits)),
     )
-    places = Places(robot, knowledge.gravity_m_s2, moment, postures)
+    unknown = unknown_axes(axes, noise_nm, weight, robot, knowledge.gravity_m_s2, moment, postures)
     mismatch = mismatch or tuple(common_finding(axes, weight))
-    findings = (*mismatch, *stated_findings(axes), *unknown_axes(axes, noise_nm, weight, places))
+    findings = (*mismatch, *stated_findings(axes), *unknown)
     about_data = (*data_findings(about, table), *rejected.findings, *drift_findings(drift_of(visits)))
     return Calibration(axes, stored, (*findings, *about_data))
-
-
-def _best(axes: Sequence[AxisCalibration]) -> str:
-    least = min(axes, key=lambda axis: axis.std / axis.stated_std)
-    return (
-        f"the smallest standard deviation is {100 * least.std:.2g} % (J{least.joint}); use a heavier load or more poses"
-    )
 
 
 def _axes(

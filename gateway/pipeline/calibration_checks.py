@@ -212,30 +212,25 @@ def stated_findings(axes: Sequence[AxisCalibration]) -> Iterator[Finding]:
             )
 
 
-@dataclass(frozen=True, slots=True)
-class Places:
-    """Postures where a load can be measured."""
-
-    robot: Robot
-    gravity_m_s2: Sequence[float]
-    moment: Floats
-    postures: Callable[[], Floats | None]
-
-    def torque(self) -> tuple[Floats, Floats]:
-        """Return the postures (k, N) and the torque (k, N) of the load there; empty without known postures."""
-        q_rad = self.postures()
-        q_rad = np.zeros((0, self.robot.axes)) if q_rad is None else q_rad
-        return q_rad, load_torque(self.robot, q_rad, self.gravity_m_s2, self.moment)
-
-
 def unknown_axes(
-    axes: Sequence[AxisCalibration], noise_nm: Floats, weight: Weight, places: Places
+    axes: Sequence[AxisCalibration],
+    noise_nm: Floats,
+    weight: Weight,
+    robot: Robot,
+    gravity_m_s2: Sequence[float],
+    moment: Floats,
+    postures: Callable[[], Floats | None],
 ) -> Iterator[Finding]:
-    """Report each axis that is not calibrated, with the pose or load that would calibrate it."""
+    """Report each axis that is not calibrated, with the pose or load that would calibrate it.
+
+    `moment` (4,) is [m, h] of the load; `postures` returns those (k, N) where it can be measured, if they are known.
+    """
     unknown = [axis for axis in axes if not axis.is_known]
     if not unknown:
         return
-    q_rad, torque = places.torque()
+    known_rad = postures()
+    q_rad = np.zeros((0, robot.axes)) if known_rad is None else known_rad
+    torque = load_torque(robot, q_rad, gravity_m_s2, moment)
     largest = np.abs(torque).max(initial=0.0)
     for axis in unknown:
         at = axis.joint - 1

@@ -175,7 +175,19 @@ def inputs_from_recordings(
     bounds = load_bounds(robot, arm, trusts_masses=link_std != np.inf)
     measured = _calibrated(request, loaded, arm, [recording for recording, _ in bound])
     if request.bare is not None:
-        _refuse_other_scale(request.bare, axes, measured)
+        # Refuse a stored identification of the unloaded arm with other calibrated torque constants
+        stored = read_result(request.bare).provenance
+        for joint in range(1, axes + 1):
+            entry = stored.get(f"J{joint}")
+            scale = entry.get("torque_scale") if isinstance(entry, Mapping) else None
+            was = float(scale["value"]) if isinstance(scale, Mapping) else 1.0
+            now = 1.0 if measured is None else float(measured.scale[joint - 1])
+            if not np.isclose(was, now, rtol=1e-6):
+                raise InputError(
+                    f"{request.bare}: the unloaded arm was identified with a torque of J{joint} scaled by {was:.4g},"
+                    f" the calibration in use says {now:.4g}; estimate the samples of the unloaded arm again with the"
+                    " same --cell"
+                )
     loads = {label: in_last_link(label, load, robot, bounds) for label, load in request.known.items()}
     exact = {label: (load.mass_kg, *load.com_m) for label, load in loads.items() if load.com_m and load.is_exact}
     assumed = (unnamed_frame(label, stated, robot) for label, stated in request.known.items())
@@ -362,27 +374,6 @@ def read_bare(path: Path) -> Bare:
             " again"
         )
     return bare
-
-
-def _refuse_other_scale(path: Path, axes: int, measured: Calibrated | None) -> None:
-    """Refuse a stored identification of the unloaded arm with other calibrated torque constants.
-
-    Raises
-    ------
-    InputError
-    """
-    stored = read_result(path).provenance
-    for joint in range(1, axes + 1):
-        entry = stored.get(f"J{joint}")
-        scale = entry.get("torque_scale") if isinstance(entry, Mapping) else None
-        was = float(scale["value"]) if isinstance(scale, Mapping) else 1.0
-        now = 1.0 if measured is None else float(measured.scale[joint - 1])
-        if not np.isclose(was, now, rtol=1e-6):
-            raise InputError(
-                f"{path}: the unloaded arm was identified with a torque of J{joint} scaled by {was:.4g}, the"
-                f" calibration in use says {now:.4g}; estimate the samples of the unloaded arm again with the same"
-                " --cell"
-            )
 
 
 def read_rows(paths: Sequence[Path], about: AnalysisInputs) -> Table:

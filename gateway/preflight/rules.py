@@ -10,7 +10,7 @@ from typing import Final
 from drives.cia402 import FAULTED, FOLLOWING, INTERNAL_LIMIT, Mode, State, decode_state, describe, mode_supported
 from drives.emcy import code_class
 from drives.objects import OBJECTS, object_name
-from drives.profile import Constant, DriveProfile, Signal
+from drives.profile import NO_RESOLUTION, Constant, DriveProfile, Reader, resolution
 from drives.values import Identity
 from gateway.cell.config import AxisConfig
 from gateway.result.finding import Finding, Severity
@@ -19,8 +19,8 @@ from gateway.result.finding import Finding, Severity
 IMPLAUSIBLE = 50.0
 #: And below which an axis would drop when it is enabled: gravity takes a tenth of the peak torque and more.
 TOO_WEAK = 0.1
-#: Torque limits of one direction, in addition to 0x6072.
-DIRECTED: Final = ("positive_torque_limit", "negative_torque_limit")
+#: Limits of the torque that a drive produces: of both directions, of one, and of the current.
+TORQUE_LIMITS: Final = ("max_torque", "positive_torque_limit", "negative_torque_limit", "max_current")
 CONFIRM_TORQUE: Final = "write the limit from the data sheet to the cell, and its source to torque_limit_source"
 SATURATES: Final = "readings saturate there; lower torque_limit_nm or raise the drive's limit"
 
@@ -217,50 +217,40 @@ def _rated(axis: Axis, readings: Readings) -> Iterator[Finding]:
         yield axis.item("ok", address, f"{value * (rated.unit or math.nan):g} {unit} is 1000 per mille")
 
 
+def reader(readings: Readings) -> Reader:
+    """Return the function that looks objects of a profile up among readings."""
+    return lambda reference: readings.get((reference.index, reference.subindex))
+
+
 def joint_torque_limit_nm(axis: Axis, readings: Readings, name: str = "max_torque") -> float | None:
-    """Return the joint torque that a limit of the drive allows [Nm]; None if unknown."""
-    limit, torque = value_of(readings, name), axis.profile.torque
-    full = None if torque.is_current else _rated_value(torque, readings)
-    return None if limit is None or not full else abs(axis.config.gear_ratio.value) * full * limit / 1000.0
+    """Return the joint torque that a limit of the drive allows [Nm]; None if unknown.
 
-
-def joint_current_limit_nm(axis: Axis, readings: Readings, name: str = "max_current") -> float | None:
-    """Return the joint torque that a limit in per mille of the rated current allows [Nm]; None if unknown."""
-    limit, profile = value_of(readings, name), axis.profile
-    signals = [signal for signal in (profile.current, profile.torque) if signal is not None]
-    signal = next((each for each in signals if each.kind == "permille_rated_current"), None)
-    rated_a = None if signal is None else _rated_value(signal, readings)
-    if limit is None or signal is None or not rated_a:
-        return None
-    kt = axis.config.torque_constant_nm_per_a.value
-    return abs(axis.config.gear_ratio.value) * kt * signal.current_factor * rated_a * limit / 1000.0
-
-
-def _rated_value(signal: Signal, readings: Readings) -> float | None:
-    """Return the value of 1000 per mille [Nm or A]."""
-    rated = signal.rated
-    if rated is None or rated.object is None:
-        return None if rated is None else rated.value
-    word = readings.get((rated.object.index, rated.object.subindex))
-    return word * (rated.unit or math.nan) if isinstance(word, int) else None
+    The limit is in per mille of the rated torque; that of the current, and where the drive states no rated torque, in
+    per mille of the rated current.
+    """
+    limit, profile, config, read = value_of(readings, name), axis.profile, axis.config, reader(readings)
+    rated_nm = None if name == "max_current" else profile.rated_torque_nm(read)
+    rated_a = profile.rated_current_a(read) if rated_nm is None else None
+    if rated_a is not None:
+        rated_nm = rated_a * config.torque_constant_nm_per_a.value
+    return None if limit is None or rated_nm is None else abs(config.gear_ratio.value) * rated_nm * limit / 1000.0
 
 
 def _torque_limits(axis: Axis, readings: Readings) -> Iterator[Finding]:
-    limits = {name: joint_torque_limit_nm(axis, readings, name) for name in ("max_torque", *DIRECTED)}
-    limits["max_current"] = joint_current_limit_nm(axis, readings)
-    stated_nm, rated_nm = axis.config.torque_limit_nm, joint_current_limit_nm(axis, readings, "max_torque")
-    for name, joint_nm in limits.items():
+    stated_nm = axis.config.torque_limit_nm
+    for name in TORQUE_LIMITS:
         limit, address, is_total = value_of(readings, name), OBJECTS[name].address, name == "max_torque"
+        joint_nm = joint_torque_limit_nm(axis, readings, name)
         if limit == 0:
             advice = "set the torque limit in the drive" if is_total else "set the limit in the drive"
             yield axis.item("fail", address, "0: the drive produces no torque", advice)
-        elif is_total and (least_nm := joint_nm or rated_nm or math.inf) < TOO_WEAK * stated_nm:
-            what = f"{limit} per mille is {least_nm:.3g} Nm at the joint, too little for an axis of {stated_nm:g} Nm"
-            advice = "raise it in the drive, or correct the unit of the rated torque (uNm, mNm) or gear_ratio"
-            yield axis.item("fail", address, what, advice)
         elif joint_nm is None:
             if is_total and limit is not None and limit < 1000:
                 yield axis.item("warn", address, f"{limit} per mille of the rated torque", SATURATES)
+        elif is_total and joint_nm < TOO_WEAK * stated_nm:
+            what = f"{limit} per mille is {joint_nm:.3g} Nm at the joint, too little for an axis of {stated_nm:g} Nm"
+            advice = "raise it in the drive, or correct the unit of the rated torque (uNm, mNm) or gear_ratio"
+            yield axis.item("fail", address, what, advice)
         elif is_total and joint_nm > IMPLAUSIBLE * stated_nm:
             what = f"{limit} per mille is {joint_nm:.3g} Nm at the joint, the cell allows {stated_nm:g} Nm"
             advice = "rated torque in another unit (uNm, mNm) or a wrong gear_ratio: correct it"
@@ -275,12 +265,12 @@ def _torque_limits(axis: Axis, readings: Readings) -> Iterator[Finding]:
 def _encoder(axis: Axis, readings: Readings) -> Iterator[Finding]:
     """Compare 0x608F of the drive with the counts per motor revolution of the profile."""
     increments, turns = value_of(readings, "encoder_increments"), value_of(readings, "encoder_revolutions")
-    profile = axis.profile
+    profile, counts = axis.profile, resolution(increments, turns)
     assumed = profile.position.counts_per_revolution
-    if not increments or not turns or increments == turns:
+    if counts is None:
         return
     if isinstance(assumed, Constant):
-        if increments != assumed.value * turns:
+        if counts != assumed.value:
             what = f"the drive counts {increments} in {turns} motor revolutions, profile {profile.name} assumes "
             what += f"{assumed.value:g} in one"
             advice = "correct counts_per_revolution of the profile, or 0x608F in the drive"
@@ -326,11 +316,9 @@ def _scaling(axis: Axis, readings: Readings) -> Iterator[Finding]:
 
 
 def _resolution(axis: Axis, readings: Readings) -> Iterator[Finding]:
-    if (counts_per_revolution(axis.profile, readings) or 0) <= 1:
-        what = "encoder resolution is missing, zero or 1:1 as delivered without a motor"
-        yield axis.item(
-            "fail", OBJECTS["encoder_increments"].address, what, "set it in the drive or give it in the profile"
-        )
+    if counts_per_revolution(axis.profile, readings) is None:
+        advice = "set it in the drive, or give it in the profile"
+        yield axis.item("fail", OBJECTS["encoder_increments"].address, NO_RESOLUTION, advice)
 
 
 def _watchdog(axis: Axis, readings: Readings) -> Iterator[Finding]:
@@ -353,11 +341,4 @@ def _watchdog(axis: Axis, readings: Readings) -> Iterator[Finding]:
 
 def counts_per_revolution(profile: DriveProfile, readings: Readings) -> float | None:
     """Return the position counts per motor revolution; None if unknown."""
-    counts = profile.position.counts_per_revolution
-    if isinstance(counts, Constant):
-        return counts.value
-    increments = readings.get((counts.object.index, counts.object.subindex))
-    turns = 1 if counts.per is None else readings.get((counts.per.index, counts.per.subindex))
-    if not isinstance(increments, int) or not isinstance(turns, int) or increments <= 0 or turns <= 0:
-        return None
-    return increments / turns
+    return profile.position.counts(reader(readings))

@@ -69,7 +69,7 @@ def certificate_xml(result: Result, label: str | None, issued: date) -> str:
     stated, data = certificate(result, label), result.data or Drawn()
     checksum = result.sha256 or str(to_dict(result)["sha256"])
     root = Element(f"{{{DCC}}}digitalCalibrationCertificate", {"schemaVersion": SCHEMA_VERSION})
-    _administrative(_add(root, "administrativeData"), stated, data, (checksum, issued))
+    _administrative(_add(root, "administrativeData"), stated, data, checksum, issued)
     results = _add(root, "measurementResults")
     for load in stated.loads:
         _result(_add(results, "measurementResult"), load, result, stated)
@@ -110,8 +110,8 @@ def _text(parent: Element, name: str, text: str) -> Element:
     return element
 
 
-def _administrative(ring: Element, stated: Certificate, data: Drawn, about: tuple[str, date]) -> None:
-    checksum, issued = about
+def _administrative(ring: Element, stated: Certificate, data: Drawn, checksum: str, issued: date) -> None:
+    """Write program, dates of the measurement if recorded (else of the analysis or issue), persons and statements."""
     software = _add(_add(ring, "dccSoftware"), "software")
     _text(software, "name", PROGRAM)
     _add(software, "release", __version__)
@@ -123,9 +123,10 @@ def _administrative(ring: Element, stated: Certificate, data: Drawn, about: tupl
     _add(core, "mandatoryLangCodeISO639_1", _LANGUAGE)
     _add(core, "uniqueIdentifier", f"{PROGRAM}-{checksum[:32]}")
     _identify(_add(core, "identifications"), [("sha256 of the result file", checksum, "other")])
-    first, last = _days(data, issued)
-    _add(core, "beginPerformanceDate", first)
-    _add(core, "endPerformanceDate", last)
+    made = [source.created for source in data.sources if source.created] or [data.created or ""]
+    days = sorted(found[0] for text in made if (found := _DAY.match(text))) or [issued.isoformat()]
+    _add(core, "beginPerformanceDate", days[0])
+    _add(core, "endPerformanceDate", days[-1])
     _add(core, "performanceLocation", "other")
     _add(core, "issueDate", issued.isoformat())
     items = _add(ring, "items")
@@ -133,23 +134,25 @@ def _administrative(ring: Element, stated: Certificate, data: Drawn, about: tupl
         item = _add(items, "item")
         _text(item, "name", f"load {load.label}")
         _identify(_add(item, "identifications"), [("label of the load", load.label, "other")])
-    _contact(_add(_add(ring, "calibrationLaboratory"), "contact"), NOT_STATED)
+    _contact(_add(_add(ring, "calibrationLaboratory"), "contact"))
     responsible = _add(_add(ring, "respPersons"), "respPerson")
     _text(_add(responsible, "person"), "name", data.operator or NOT_STATED)
     _add(responsible, "mainSigner", "true")
-    _contact(_add(ring, "customer"), NOT_STATED)
-    _statements(_add(ring, "statements"), stated)
+    _contact(_add(ring, "customer"))
+    traced, statements = stated.traceability, _add(ring, "statements")
+    statement = _add(statements, "statement")
+    _text(statement, "name", "metrological traceability" if traced.is_traceable else NOT_TRACEABLE)
+    _add(statement, "traceable", "true" if traced.is_traceable else "false")
+    _text(statement, "declaration", traced.statement if traced.is_traceable else f"{NOT_TRACEABLE}: {traced.statement}")
+    for load in stated.refused:
+        refusal = _add(statements, "statement")
+        _text(refusal, "name", f"load {load.label}: refused")
+        _text(refusal, "declaration", f"no value is certified: {load.refused}")
+        _add(refusal, "valid", "false")
 
 
-def _days(data: Drawn, issued: date) -> tuple[str, str]:
-    """Return first and last day of the measurement if recorded, otherwise of the analysis or of the issue."""
-    made = [source.created for source in data.sources if source.created]
-    days = sorted(found[0] for text in made or [data.created or ""] if (found := _DAY.match(text)))
-    return (days[0], days[-1]) if days else (issued.isoformat(), issued.isoformat())
-
-
-def _contact(contact: Element, name: str) -> None:
-    _text(contact, "name", name)
+def _contact(contact: Element) -> None:
+    _text(contact, "name", NOT_STATED)
     _text(_add(contact, "location"), "further", NOT_STATED)
 
 
@@ -161,19 +164,6 @@ def _identify(parent: Element, entries: Iterable[tuple[str, str, str]]) -> None:
         # leading, trailing or no characters at all are refused by the schema
         _add(identification, "value", one_line(value) or "-")
         _text(identification, "name", name)
-
-
-def _statements(parent: Element, stated: Certificate) -> None:
-    traced = stated.traceability
-    statement = _add(parent, "statement")
-    _text(statement, "name", "metrological traceability" if traced.is_traceable else NOT_TRACEABLE)
-    _add(statement, "traceable", "true" if traced.is_traceable else "false")
-    _text(statement, "declaration", traced.statement if traced.is_traceable else f"{NOT_TRACEABLE}: {traced.statement}")
-    for load in stated.refused:
-        refusal = _add(parent, "statement")
-        _text(refusal, "name", f"load {load.label}: refused")
-        _text(refusal, "declaration", f"no value is certified: {load.refused}")
-        _add(refusal, "valid", "false")
 
 
 def _result(parent: Element, load: CertifiedLoad, result: Result, stated: Certificate) -> None:
@@ -197,12 +187,43 @@ def _result(parent: Element, load: CertifiedLoad, result: Result, stated: Certif
         equipment = _add(parent, "measuringEquipments")
         for drive in data.drives:
             _drive(_add(equipment, "measuringEquipment"), drive)
-    _environment(_add(parent, "influenceConditions"), result, stated)
+    conditions = _add(parent, "influenceConditions")
+    if result.bare is not None and result.bare.gravity_m_s2:
+        condition = _add(conditions, "influenceCondition")
+        _text(condition, "name", "acceleration of gravity used")
+        _real(_add(_add(condition, "data"), "quantity"), "m/s2", math.hypot(*result.bare.gravity_m_s2))
+    for axis, *range_c in stated.temperatures:
+        condition = _add(conditions, "influenceCondition")
+        _text(condition, "name", f"temperature of motor or drive {axis}")
+        measured = _add(condition, "data")
+        for name, value in zip(("lowest", "highest"), range_c, strict=True):
+            quantity = _add(measured, "quantity")
+            _text(quantity, "name", name)
+            _real(quantity, "deg C", value)
+    ambient = _add(conditions, "influenceCondition")
+    _text(ambient, "name", "ambient temperature")
+    _text(_add(ambient, "data"), "text", "not recorded")
     results = _add(parent, "results")
-    _values(_add(results, "result"), load)
+    certified = _add(results, "result")
+    _text(certified, "name", f"load {load.label} in the frame {load.frame}")
+    values = _add(certified, "data")
+    if load.refused:
+        _text(values, "text", f"refused, no value is certified: {load.refused}")
+    for each in () if load.refused else load.quantities:
+        quantity = _add(values, "quantity", refType="basic_measuredValue")
+        _text(quantity, "name", each.name)
+        if math.isfinite(each.value):
+            _real(quantity, each.unit, each.value, each.expanded)
+        else:
+            _text(quantity, "noQuantity", "the data do not determine it")
     if load.budget:
         _budget(_add(results, "result"), load)
-    _meta(parent, data)
+    sources = [source for source in data.sources if source.sha256]
+    checksums = _add(parent, "measurementMetaData") if sources else parent
+    for source in sources:
+        entry = _add(checksums, "metaData")
+        _text(entry, "name", f"{source.kind} {source.file}")
+        _text(entry, "declaration", f"sha256 {source.sha256}")
 
 
 def _drive(parent: Element, drive: DriveOrigin) -> None:
@@ -223,40 +244,6 @@ def _drive(parent: Element, drive: DriveOrigin) -> None:
         _text(firmware, "name", "firmware")
         _add(firmware, "release", one_line(drive.software_version) or "-")
         _add(firmware, "type", "firmware")
-
-
-def _environment(parent: Element, result: Result, stated: Certificate) -> None:
-    gravity = () if result.bare is None else result.bare.gravity_m_s2
-    if gravity:
-        condition = _add(parent, "influenceCondition")
-        _text(condition, "name", "acceleration of gravity used")
-        _real(_add(_add(condition, "data"), "quantity"), "m/s2", math.hypot(*gravity))
-    for axis, *range_c in stated.temperatures:
-        condition = _add(parent, "influenceCondition")
-        _text(condition, "name", f"temperature of motor or drive {axis}")
-        measured = _add(condition, "data")
-        for name, value in zip(("lowest", "highest"), range_c, strict=True):
-            quantity = _add(measured, "quantity")
-            _text(quantity, "name", name)
-            _real(quantity, "deg C", value)
-    ambient = _add(parent, "influenceCondition")
-    _text(ambient, "name", "ambient temperature")
-    _text(_add(ambient, "data"), "text", "not recorded")
-
-
-def _values(parent: Element, load: CertifiedLoad) -> None:
-    _text(parent, "name", f"load {load.label} in the frame {load.frame}")
-    values = _add(parent, "data")
-    if load.refused:
-        _text(values, "text", f"refused, no value is certified: {load.refused}")
-        return
-    for each in load.quantities:
-        quantity = _add(values, "quantity", refType="basic_measuredValue")
-        _text(quantity, "name", each.name)
-        if math.isfinite(each.value):
-            _real(quantity, each.unit, each.value, each.expanded)
-        else:
-            _text(quantity, "noQuantity", "the data do not determine it")
 
 
 def _budget(parent: Element, load: CertifiedLoad) -> None:
@@ -291,15 +278,3 @@ def _real(quantity: Element, unit: str, value: float, expanded: float | None = N
 def _leaves(parent: Element, values: Mapping[str, str]) -> None:
     for name, text in values.items():
         SubElement(parent, f"{{{DSI}}}{name}").text = text
-
-
-def _meta(parent: Element, data: Drawn) -> None:
-    """Return the checksums of the data files."""
-    sources = [source for source in data.sources if source.sha256]
-    if not sources:
-        return
-    listed = _add(parent, "measurementMetaData")
-    for source in sources:
-        entry = _add(listed, "metaData")
-        _text(entry, "name", f"{source.kind} {source.file}")
-        _text(entry, "declaration", f"sha256 {source.sha256}")

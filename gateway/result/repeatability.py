@@ -25,7 +25,7 @@ from scipy.special import gammaincinv
 from gateway.errors import InputError
 from gateway.result.compare import CANNOT_TELL, FALSE_ALARM, refuse_other_arms, shared_errors
 from gateway.result.result import LoadResult, Result
-from gateway.result.values import plain_values
+from gateway.result.values import numbers, plain_values
 
 Floats = NDArray[np.float64]
 Outcome = Literal["hold", "too small", "too large", "cannot tell"]
@@ -165,17 +165,9 @@ def conclusion(found: Repeatability) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Series:
-    """Values (n,) of one quantity, their standard deviations (n,), and the errors (n, m) that they share, or None."""
-
-    where: str
-    what: str
-    unit: str
-    repetition: tuple[int, ...]
-    value: Floats
-    std: Floats
-    common: Floats | None
+#: Place, name and unit of a quantity, repetitions that hold it, values (n,), their standard deviations (n,), and the
+#: errors (n, m) that they share, or None.
+_Series = tuple[str, str, str, tuple[int, ...], Floats, Floats, Floats | None]
 
 
 def _series(results: Sequence[Result], label: str) -> Iterator[_Series]:
@@ -187,13 +179,13 @@ def _series(results: Sequence[Result], label: str) -> Iterator[_Series]:
     names = [("mass", "kg"), *((f"centre {axis} in {frame}", "m") for axis in "xyz")]
     names += [(f"inertia {moment}", "kg m2") for moment in _MOMENTS]
     for part, (what, unit) in enumerate(names):
-        numbers = {k: _numbers(load)[part] for k, load in found.items()}
-        kept = [k for k, (value, std) in numbers.items() if math.isfinite(value) and std > 0]
+        pairs = {k: _numbers(load)[part] for k, load in found.items()}
+        kept = [k for k, (value, std) in pairs.items() if math.isfinite(value) and std > 0]
         if len(kept) < FEWEST:
             continue
-        value, std = np.array([numbers[k] for k in kept]).T
+        value, std = np.array([pairs[k] for k in kept]).T
         common = shared_errors([found[k] for k in kept], part) if part < 4 else None
-        yield _Series(f"load {label}", what, unit, tuple(kept), value, std, common)
+        yield f"load {label}", what, unit, tuple(kept), value, std, common
 
 
 def _numbers(load: LoadResult) -> list[tuple[float, float]]:
@@ -208,16 +200,17 @@ def _numbers(load: LoadResult) -> list[tuple[float, float]]:
 
 def _judged(series: _Series, false_alarm: float) -> RepeatedQuantity:
     """Compare the spread of a quantity; `false_alarm` is the chance of a wrong verdict on it."""
-    n, variance = len(series.value), series.std**2
-    common = np.zeros((n, 0)) if series.common is None else series.common
+    where, what, unit, repetition, value, std, stated_common = series
+    n, variance = len(value), std**2
+    common = np.zeros((n, 0)) if stated_common is None else stated_common
     own = np.maximum(variance - np.sum(common**2, axis=1), _LEAST_OWN * variance)
     covariance = np.diag(own) + common @ common.T
     weight = 1.0 / own / np.sum(1.0 / own)
-    mean = float(weight @ series.value)
+    mean = float(weight @ value)
     away = np.eye(n) - weight
-    deviation = (series.value - mean) / np.sqrt(np.diag(away @ covariance @ away.T))
+    deviation = (value - mean) / np.sqrt(np.diag(away @ covariance @ away.T))
     scatter = covariance - covariance.mean(axis=0) - covariance.mean(axis=1)[:, None] + covariance.mean()
-    spread, expected = float(np.std(series.value, ddof=1)), math.sqrt(np.trace(scatter) / (n - 1))
+    spread, expected = float(np.std(value, ddof=1)), math.sqrt(np.trace(scatter) / (n - 1))
     freedom = float(np.trace(scatter) ** 2 / np.sum(scatter**2))
     ratio = spread / expected
     low, high = _interval(ratio, freedom, FALSE_ALARM)
@@ -226,27 +219,27 @@ def _judged(series: _Series, false_alarm: float) -> RepeatedQuantity:
     if judged_low > 1.0:
         outcome = TOO_SMALL
     elif judged_high < 1.0:
-        outcome = TOO_LARGE if series.common is not None else CANNOT_TELL
+        outcome = TOO_LARGE if stated_common is not None else CANNOT_TELL
     elif high <= RESOLUTION * ratio:
         outcome = HOLD
     return RepeatedQuantity(
-        series.where,
-        series.what,
-        series.unit,
-        series.repetition,
-        tuple(series.value.tolist()),
-        tuple(series.std.tolist()),
-        tuple(deviation.tolist()),
-        mean,
-        math.sqrt(weight @ covariance @ weight),
-        spread,
-        expected,
-        math.sqrt(variance.mean()),
-        ratio,
-        low,
-        high,
-        series.common is not None,
-        outcome,
+        where=where,
+        what=what,
+        unit=unit,
+        repetition=repetition,
+        value=numbers(value),
+        std=numbers(std),
+        deviation=numbers(deviation),
+        mean=mean,
+        mean_std=math.sqrt(weight @ covariance @ weight),
+        spread=spread,
+        expected=expected,
+        stated=math.sqrt(variance.mean()),
+        ratio=ratio,
+        low=low,
+        high=high,
+        is_separated=stated_common is not None,
+        outcome=outcome,
     )
 
 

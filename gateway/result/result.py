@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from numpy.typing import NDArray
+
 from gateway.errors import InputError
 from gateway.result.drawn import Drawn
 from gateway.result.finding import Finding
@@ -246,6 +248,15 @@ class Rows:
     band_nm: Matrix = ()
     std_nm: Matrix = ()
 
+    @classmethod
+    def of(cls, **columns: NDArray[Any]) -> Rows:
+        """Build the rows from an array for every field: shape (n,), or (n, N) for a table by axis."""
+        plain: dict[str, Any] = {
+            name: tuple(map(tuple, values.tolist())) if values.ndim > 1 else tuple(values.tolist())
+            for name, values in columns.items()
+        }
+        return cls(**plain)
+
     def __post_init__(self) -> None:
         """Check that the tables have equal shapes."""
         check_lengths(**{item.name: getattr(self, item.name) for item in dataclasses.fields(self)})
@@ -382,7 +393,13 @@ def _from_object(data: dict[str, Any], where: str) -> Result:
     known = {item.name for item in dataclasses.fields(Result)} - {"extra"}
     extra = {key: value for key, value in data.items() if key not in known}
     result = decoded(Result, {key: value for key, value in data.items() if key in known}, where)
-    _check_loads(result, where)
+    for index, load in enumerate(result.loads):
+        if any(abs(value) > LARGEST for value in (load.mass_kg, load.mass_std_kg, *(load.com_m or ()))):
+            raise InputError(f"{where}: loads[{index}]: a mass or a place beyond {LARGEST:g}")
+        if any(value < 0 for value in (load.mass_std_kg, *(load.com_std_m or ()))):
+            raise InputError(f"{where}: loads[{index}]: a standard deviation below 0; write it again from the data")
+        if any([len(row) for row in rows] != [len(rows[0])] * 4 for rows in load.common_errors.values() if rows):
+            raise InputError(f"{where}: loads[{index}].common_errors: four rows of one length are needed")
     if result.bare is not None:
         _check_bare(result.bare, where)
     return dataclasses.replace(result, extra=extra)
@@ -407,16 +424,6 @@ def json_schema() -> dict[str, Any]:
     schema = schema_of(Result)
     schema["properties"].pop("extra")
     return schema
-
-
-def _check_loads(result: Result, where: str) -> None:
-    for index, load in enumerate(result.loads):
-        if any(abs(value) > LARGEST for value in (load.mass_kg, load.mass_std_kg, *(load.com_m or ()))):
-            raise InputError(f"{where}: loads[{index}]: a mass or a place beyond {LARGEST:g}")
-        if any(value < 0 for value in (load.mass_std_kg, *(load.com_std_m or ()))):
-            raise InputError(f"{where}: loads[{index}]: a standard deviation below 0; write it again from the data")
-        if any([len(row) for row in rows] != [len(rows[0])] * 4 for rows in load.common_errors.values() if rows):
-            raise InputError(f"{where}: loads[{index}].common_errors: four rows of one length are needed")
 
 
 def _check_bare(bare: Bare, where: str) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gateway.data.table import Table, concatenate
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
@@ -19,9 +21,43 @@ from gateway.result.result import Result
 from sim.draw import DrawnArm, choose_poses, draw_arm
 from sim.effects import apply_effects
 from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
-from tests.support.rigs.tables import simulated_table
+from tests.data.arms import carrying, peer_of, torque_of
+from tests.support.rigs.tables import make_table, simulated_table
 
 STEP_S = 25.0
+#: Cell and URDF of the small arm; ten of its poses [rad], and the friction of its axes [Nm].
+SMALL = Path(__file__).parents[2] / "examples" / "small"
+LIMIT = np.array([2.5, 1.4, 1.6, 2.5, 1.6, 2.5])
+POSES = np.random.default_rng(4).uniform(-LIMIT, LIMIT, (10, 6))
+BAND_NM = np.array([10.0, 8.0, 5.0, 1.0, 1.0, 0.5])
+
+
+def two_sided(
+    load: str,
+    body: tuple[float, float, float, float] | None,
+    q: np.ndarray = POSES,
+    start_s: float = 0.0,
+    seed: int = 1,
+    first: int = 1,
+    gain: ArrayLike = 0.0,
+    error: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
+) -> Table:
+    """Rest rows of the small arm (torque by pinocchio) with a body (mass [kg], x, y, z [m]), from both sides.
+
+    `gain`: torque by the constants of the cell over the true torque, less 1; `error`: torque [Nm] beside gravity.
+    """
+    rng, count = np.random.default_rng([seed, first, len(load)]), len(q)
+    model, _ = peer_of((SMALL / "robot.urdf").read_text(encoding="utf-8"))
+    torque = error(q) + torque_of(model if body is None else carrying(model, body[0], body[1:]), q)
+    sides = [torque + side * BAND_NM * (1 + 0.02 * rng.standard_normal(torque.shape)) for side in (1, -1)]
+    return make_table(
+        [load] * (2 * count),
+        np.tile(np.arange(first, first + count), 2),
+        np.tile(q, (2, 1)),
+        np.vstack(sides) * (1 + np.asarray(gain)),
+        time=start_s + 20.0 * np.tile(np.arange(count), 2) + np.repeat([0.0, 8.0], count),
+        direction=np.repeat([[1] * 6, [-1] * 6], count, axis=0),
+    )
 
 
 def basis_of(orthogonal: np.ndarray) -> Basis:

@@ -223,7 +223,7 @@ CELLS = [
     ("a speed above the URDF's", ("speed_limit_rad_s = 0.8", "speed_limit_rad_s = 3.6"), "axis 1: ", "3.5 .*lower"),
     ("a speed of nothing", ("speed_limit_rad_s = 0.8", "speed_limit_rad_s = 0"), AXIS, "must be more than 0: write"),
     ("a number in quotes", ("torque_limit_nm = 420", 'torque_limit_nm = "420"'), AXIS, "is no number: write"),
-    ("a truth for a number", ("node_id = 1", "node_id = true"), AXIS, "is no integer: write node_id = INTEGER"),
+    ("a truth for a number", ("node_id = 1", "node_id = true"), AXIS, "is no integer: write node_id = 1 to 127"),
     ("a node id that cannot be", ("node_id = 1", "node_id = 200"), AXIS, "must be at most 127"),
     ("a node id twice", ("node_id = 1", "node_id = 2"), r"line \d+, J2: ", "node id 2 is used for more than one axis"),
     ("a constant of 120 Nm/A", ("value = 0.31", "value = 120"), AXIS, "0.001 to 10; in mNm/A\\? write value = 0.12"),

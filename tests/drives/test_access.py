@@ -86,16 +86,15 @@ def test_a_mode_that_is_shown_with_delay_is_waited_for_and_one_that_is_not_shown
 
         def get(address: tuple[int, int]) -> int:
             if address == (0x6061, 0):
-                return 8 if slave.wire.now_s - start > shown_after_s else 0
+                return 8 if slave.wire.now_s - start > shown_after_s else 1
             return plain(address)
 
         slave.get = get  # type: ignore[method-assign]
         set_mode(group.drives[0], 0.004)
         assert slave.wire.now_s - start == pytest.approx(0.5, abs=0.05)
         start, shown_after_s = slave.wire.now_s, 5.0
-        with pytest.raises(ConfigurationRefused, match="shows mode 0 instead of 8") as caught:
+        with pytest.raises(ConfigurationRefused, match="shows mode 1 instead of 8"):
             set_mode(group.drives[0], 0.004)
-        assert "mode_before_enable = false" in str(caught.value)
         assert slave.wire.now_s - start == pytest.approx(1.0, abs=0.05)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -43,11 +42,8 @@ def targets(wire, node_id):
 
 
 @pytest.fixture(params=["lockstep", "real"])
-def mode_shown_when_enabled(request, bus, slaves, setups, generic):
+def mode_shown_when_enabled(request, bus, slaves, setups):
     """A group of drives whose 0x6061 stays 0 for a time under power, and the list that holds it in SYNCs."""
-    profile = generic.model_copy(
-        update={"state_machine": generic.state_machine.model_copy(update={"mode_before_enable": False})}
-    )
     enabled: dict[int, int] = {}
     delay_syncs = [75]
 
@@ -63,8 +59,7 @@ def mode_shown_when_enabled(request, bus, slaves, setups, generic):
 
     for slave in slaves:
         slave.get = mode_of(slave, slave.get)
-    chosen = [replace(setup, profile=profile) for setup in setups(3)]
-    with DriveGroup(bus, chosen, PERIOD_S, request.param) as group:
+    with DriveGroup(bus, setups(3), PERIOD_S, request.param) as group:
         group.connect()
         group.configure()
         yield group, delay_syncs
@@ -75,6 +70,14 @@ def longest_gap_s(wire):
     enabled_s = next(at_s for at_s, sent in zip(wire.sent_at_s, wire.sent, strict=True) if sent[1][:1] == b"\x0f")
     syncs = [at_s for at_s, (can_id, _) in zip(wire.sent_at_s, wire.sent, strict=True) if can_id == 0x80]
     return max(later - before for before, later in pairwise(at_s for at_s in syncs if at_s > enabled_s))
+
+
+def test_a_drive_that_shows_another_mode_by_now_is_not_enabled(group, slaves):
+    plain = slaves[1].get
+    slaves[1].get = lambda address: 4 if address == (0x6061, 0) else plain(address)
+    with pytest.raises(ConfigurationRefused, match="shows mode 4 instead of 8"):
+        group.enable()
+    assert not enabling_words(slaves)
 
 
 def test_sync_goes_on_while_the_mode_is_waited_for(mode_shown_when_enabled, wire):

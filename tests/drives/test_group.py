@@ -465,12 +465,12 @@ def test_only_what_the_profile_allows_is_written(group, slaves):
     assert 0x6073 not in {index for index, _, _ in slaves[0].written}
 
 
-def test_rated_values_of_zero_are_refused(bus, slaves, setups):
+def test_rated_values_of_zero_and_a_resolution_of_one_count_are_refused(bus, slaves, setups):
     slaves[0].values[0x6076, 0] = 0
-    slaves[1].values[0x608F, 2] = 0
+    slaves[1].values[0x608F, 1] = 1  # in one revolution: delivered without a motor
     with DriveGroup(bus, setups(6), PERIOD_S) as group:
         group.connect()
-        with pytest.raises(SeveralFailures, match="6076:00.*608F:02"):
+        with pytest.raises(SeveralFailures, match="6076:00.*608F:01"):
             group.configure()
 
 

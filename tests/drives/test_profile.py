@@ -68,10 +68,8 @@ def remove(text, start):
         (remove(GENERIC, "unit = 0.001"), "unit belong together"),
         (remove(GENERIC, "nature"), r"\[torque\], \[current\]: nature is missing"),
         (remove(GENERIC, "current_reference"), "current_reference and torque_constant_per"),
-        (
-            remove(GENERIC, "brake_delay_s").replace("transition_timeout_s = 1.0", ""),
-            r"transition_timeout_s is missing",
-        ),
+        (remove(GENERIC, "transition_timeout_s"), "transition_timeout_s is missing"),
+        (GENERIC + '[[emcy]]\ncode = 0\ntext = "x"\nadvice = "x"\n', "0x0000 is listed twice or is no error"),
         (
             GENERIC.replace('source = "CiA 402-2, 0x6076 in mNm"', 'source = ""'),
             "source = .* is too short",

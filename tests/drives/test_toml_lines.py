@@ -111,10 +111,10 @@ def problems(*changes: tuple[str, str]) -> tuple[str, ...]:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("node = 1\n", "", "f.toml line 2, J1: node is missing (id of the drive): write node = INTEGER"),
-        ("node = 1", "node = 0", "f.toml line 3, J1: node = 0 must be at least 1: write node = INTEGER"),
-        ("node = 1", 'node = "1"', 'f.toml line 3, J1: node = "1" is no integer: write node = INTEGER'),
-        ("node = 1", "node = true", "f.toml line 3, J1: node = true is no integer: write node = INTEGER"),
+        ("node = 1\n", "", "f.toml line 2, J1: node is missing (id of the drive): write node = 1 to 127"),
+        ("node = 1", "node = 0", "f.toml line 3, J1: node = 0 must be at least 1: write node = 1 to 127"),
+        ("node = 1", 'node = "1"', 'f.toml line 3, J1: node = "1" is no integer: write node = 1 to 127'),
+        ("node = 1", "node = true", "f.toml line 3, J1: node = true is no integer: write node = 1 to 127"),
         (
             'ratio = { value = 2, source = "x" }',
             "ratio = 2",

@@ -35,19 +35,16 @@ def elastic_joints(
             continue
         fitted = ~motion.held_out
         compliance, std, p_value = wind_up(torque[fitted], bend[fitted], counting_share, motion.axes)
-        ratio = _held_out_ratio(pairs, design_of(torque), bend)
+        # Ratio of the held-out RMS of the wind-up with the torque to that without it
+        design = design_of(torque)
+        squares = np.zeros(2)
+        for train, test in pairs:
+            for place, columns in enumerate((design, design[:, 1:])):
+                value, *_ = np.linalg.lstsq(columns[train], bend[train], rcond=None)
+                squares[place] += float(((bend - columns @ value)[test] ** 2).sum())
+        ratio = float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else 1.0
         bent = compliance * float(np.abs(torque).max())
         if compliance < MOVING.wind_up * std or ratio > MOVING.wind_up_ratio or bent > MOVING.largest_wind_up_rad:
             continue
         found.append(elastic(axis, compliance, std, Evidence(holdout_rms_ratio=ratio, p_value=p_value)))
     return tuple(found)
-
-
-def _held_out_ratio(pairs: Sequence[tuple[Mask, Mask]], design: Floats, bend: Floats) -> float:
-    """Ratio of the held-out RMS of the wind-up with the torque to that without it."""
-    squares = np.zeros(2)
-    for train, test in pairs:
-        for place, columns in enumerate((design, design[:, 1:])):
-            value, *_ = np.linalg.lstsq(columns[train], bend[train], rcond=None)
-            squares[place] += float(((bend - columns @ value)[test] ** 2).sum())
-    return float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else 1.0

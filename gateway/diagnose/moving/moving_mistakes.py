@@ -53,7 +53,17 @@ def find_mistakes(
     """Find mistakes one after the other, each with the previous ones corrected; `refuted` ones are excluded."""
     found: list[MovingMistake] = []
     for _ in range(MOVING.most_mistakes):
-        best = _worst(problem, allowed, refuted)
+        # The mistake whose correction reduces the held-out error most, among significant ones
+        neutral = _with_neutral_noise(problem)
+        now = fit(neutral, (), ~problem.motion.held_out, problem.motion.held_out)
+        judged = []
+        for mistake, limit in _suspects(neutral, now, allowed):
+            if mistake.label in refuted or not _takes_power(neutral, mistake):
+                continue
+            ratio, gain = _held_ratio(neutral, mistake)
+            if ratio.below_one and ratio.value < limit and gain > np.log(MOVING.rare * MOVING.naming_odds):
+                judged.append((ratio.value, mistake))
+        best = min(judged, key=lambda pair: pair[0], default=(1.0, None))[1]
         if best is None:
             break
         found.append(best)
@@ -70,20 +80,6 @@ def undo(motion: Read, mistakes: Sequence[MovingMistake]) -> Read:
         else:
             tau[:, mistake.axes[0]] *= -1.0
     return replace(motion, tau_nm=tau)
-
-
-def _worst(problem: MovingProblem, allowed: frozenset[str], refuted: frozenset[Label]) -> MovingMistake | None:
-    """Return the mistake whose correction reduces the held-out error most, among significant ones."""
-    neutral = _with_neutral_noise(problem)
-    now = fit(neutral, (), ~problem.motion.held_out, problem.motion.held_out)
-    judged = []
-    for mistake, limit in _suspects(neutral, now, allowed):
-        if mistake.label in refuted or not _takes_power(neutral, mistake):
-            continue
-        ratio, gain = _held_ratio(neutral, mistake)
-        if ratio.below_one and ratio.value < limit and gain > np.log(MOVING.rare * MOVING.naming_odds):
-            judged.append((ratio.value, mistake))
-    return min(judged, key=lambda pair: pair[0], default=(1.0, None))[1]
 
 
 def _suspects(problem: MovingProblem, now: MovingFit, allowed: frozenset[str]) -> Iterator[tuple[MovingMistake, float]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.cell.quantities import inertials_text
-from gateway.diagnose.held_out_residuals import Held, listed
+from gateway.diagnose.held_out_residuals import Held
 from gateway.diagnose.moving.moving_answer import MovingAnswer
 from gateway.diagnose.moving.moving_findings import (
     MovingOutcome,
@@ -43,6 +43,7 @@ from gateway.result.result import (
     Rows,
     Verdict,
 )
+from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +59,9 @@ HELD_OUT = {
 
 def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer) -> Result:
     """Build the result of a finished diagnosis, with residuals and loads without and with the effects."""
-    problem, after = outcome.problem, outcome.after
+    problem, after, motion = outcome.problem, outcome.after, outcome.problem.motion
+    kept = np.arange(0, len(motion), max(1, int(np.ceil(len(motion) / ROWS_KEPT))))
+    unknown = np.full((len(kept), motion.axes), np.nan)
     effects = (
         *_mistakes(outcome),
         *outcome.wound,
@@ -78,8 +81,8 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
         before=_summary(before, outcome.held_before, plain),
         after=_summary(after, outcome.held_after, answer),
         holdout_kind="given" if problem.motion.held_out.any() else "blocks",
-        noise_floor_nm=listed(problem.motion.floor_nm),
-        friction_band_nm=listed(_friction_level(problem, after)),
+        noise_floor_nm=numbers(problem.motion.floor_nm),
+        friction_band_nm=numbers(_friction_level(problem, after)),
         rejected=_rejected(outcome),
         next=(*(separating_run(item) for item in doubtful), *richer(outcome, bool(effects))),
         findings=(
@@ -92,15 +95,26 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
         nuisance=answer.nuisance,
         provenance=_provenance(problem, outcome),
         quality={"holdout_ratio": _axis_ratios(outcome)},
-        rows=_rows(problem, after),
-        data=pictures(problem, outcome.before, after, drawn, _kept(problem)),
+        rows=Rows.of(
+            run=motion.run[kept].astype(str),
+            load=motion.load[kept].astype(str),
+            pose=np.full(len(kept), -1),
+            time_s=motion.time_s[kept],
+            q_rad=motion.q_rad[kept],
+            direction=np.sign(motion.sign[kept].round(6)).astype(int),
+            tau_nm=np.where(motion.measured, motion.tau_nm, np.nan)[kept],
+            model_nm=(motion.tau_nm - after.full.residual_nm)[kept],
+            band_nm=unknown,
+            std_nm=unknown,
+        ),
+        data=pictures(problem, outcome.before, after, drawn, kept),
     )
 
 
 def too_little(problem: MovingProblem, state: MovingState, answer: MovingAnswer) -> Result:
     """Build the result for a run that is too short to hold out any rows."""
-    unknown = _unknown(problem)
-    summary = FitSummary(rms_nm=listed(rms_of(state)), holdout_rms_nm=unknown, loads=answer.loads)
+    unknown = (np.nan,) * problem.motion.axes
+    summary = FitSummary(rms_nm=numbers(rms_of(state)), holdout_rms_nm=unknown, loads=answer.loads)
     step = NextMeasurement("a moving run of at least 10 s in which every axis changes its direction several times")
     what = f"{int((~problem.motion.held_out).sum())} moving rows over {problem.motion.duration_s:.1f} s"
     return Result(
@@ -120,12 +134,8 @@ def too_little(problem: MovingProblem, state: MovingState, answer: MovingAnswer)
     )
 
 
-def _unknown(problem: MovingProblem) -> tuple[float, ...]:
-    return (np.nan,) * problem.motion.axes
-
-
 def _summary(state: MovingState, held: Held, answer: MovingAnswer) -> FitSummary:
-    return FitSummary(listed(rms_of(state)), listed(held.rms_nm), answer.loads)
+    return FitSummary(numbers(rms_of(state)), numbers(held.rms_nm), answer.loads)
 
 
 def _effect(problem: MovingProblem, state: MovingState, item: Chosen, tried: int) -> EffectResult:
@@ -193,12 +203,12 @@ def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, obj
     return {
         "kind": "moving",
         "rows": len(motion),
-        "delay_s": listed(motion.delay_s),
+        "delay_s": numbers(motion.delay_s),
         "rows_judged": [int(x) for x in motion.judged.sum(axis=0)],
         "holdout_blocks": len(outcome.judges.choices),
         "held_out": HELD_OUT["given" if motion.held_out.any() else _blocks(problem)],
         "inertials": inertials_text(np.inf if trust is None else trust),
-        "rows_that_count": listed(problem.noise.share * motion.judged.sum(axis=0)),
+        "rows_that_count": numbers(problem.noise.share * motion.judged.sum(axis=0)),
         "candidates_tried": _tried(outcome),
     }
 
@@ -213,34 +223,6 @@ def _axis_ratios(outcome: MovingOutcome) -> list[tuple[float, float, float]]:
     sigma = np.ones(outcome.problem.motion.axes)
     found = (held_ratio(outcome.held_before, outcome.held_after, [axis], sigma) for axis in range(len(sigma)))
     return [(ratio.value, ratio.low, ratio.high) for ratio in found]
-
-
-def _kept(problem: MovingProblem) -> NDArray[np.int_]:
-    """Indices of the rows that the result file stores."""
-    return np.arange(0, len(problem.motion), max(1, int(np.ceil(len(problem.motion) / ROWS_KEPT))))
-
-
-def _rows(problem: MovingProblem, state: MovingState) -> Rows:
-    motion = problem.motion
-    kept = _kept(problem)
-
-    def matrix(values: Floats) -> tuple[tuple[float, ...], ...]:
-        return tuple(listed(row) for row in values[kept])
-
-    tau = np.where(motion.measured, motion.tau_nm, np.nan)
-    unknown = np.full((len(motion), motion.axes), np.nan)
-    return Rows(
-        run=tuple(str(number) for number in motion.run[kept]),
-        load=tuple(str(label) for label in motion.load[kept]),
-        pose=(-1,) * len(kept),
-        time_s=listed(motion.time_s[kept]),
-        q_rad=matrix(motion.q_rad),
-        direction=tuple(tuple(int(x) for x in row) for row in np.sign(motion.sign[kept].round(6)).astype(int)),
-        tau_nm=matrix(tau),
-        model_nm=matrix(motion.tau_nm - state.full.residual_nm),
-        band_nm=matrix(unknown),
-        std_nm=matrix(unknown),
-    )
 
 
 def _friction_level(problem: MovingProblem, state: MovingState) -> Floats:

@@ -42,7 +42,14 @@ def parameters_of(problem: MovingProblem, state: MovingState, terms: Sequence[Te
         if isinstance(term, Stribeck):
             std = _over_decays(problem, state, term, values, std)
     if isinstance(first, MotorCoupling):
-        std["coefficient"] = _coupling_spread(problem, state, first)
+        # Standard deviation of the coefficient from the curvature of the cost
+        centre, step = first.coefficient, 0.1
+        others = [other for other in state.terms if other != first]
+        low, middle, high = (
+            coupling_cost(problem, others, first, centre * (1.0 + move)) for move in (-step, 0.0, step)
+        )
+        curvature = (low + high - 2.0 * middle) / (step * centre) ** 2
+        std["coefficient"] = float(np.sqrt(2.0 / curvature)) if curvature > 0 else abs(centre) * step
     if first.scales_reading and is_rms_peak(values["scale"], std["scale"]):
         scale = values["scale"]
         return RMS_PEAK.name, {"factor": 1.0 / scale}, {"factor": std["scale"] / scale**2}
@@ -142,12 +149,3 @@ def _slopes(problem: MovingProblem, full: MovingFit, term: Term, value: Floats) 
         sides = [term.shaped(at + sign * step).columns(problem.motion, full.modelled) @ value for sign in (1.0, -1.0)]
         parts.append((sides[0] - sides[1]) / (2.0 * STEP * spread))
     return np.stack(parts, axis=2)
-
-
-def _coupling_spread(problem: MovingProblem, state: MovingState, term: MotorCoupling) -> float:
-    """Standard deviation of the coefficient from the curvature of the cost."""
-    centre, step = term.coefficient, 0.1
-    others = [other for other in state.terms if other != term]
-    low, middle, high = (coupling_cost(problem, others, term, centre * (1.0 + move)) for move in (-step, 0.0, step))
-    curvature = (low + high - 2.0 * middle) / (step * centre) ** 2
-    return float(np.sqrt(2.0 / curvature)) if curvature > 0 else abs(centre) * step

@@ -140,7 +140,12 @@ def fit(
     counted = (motion.judged & train[:, None]).astype(float)
     own = prior_of(terms)
     prior = null.columns.prior.beside(own)
-    gains = _gain_positions(null, terms)
+    # Index of the torque-reading scale (N,) of each axis among the parameters
+    gains, start = null.gain.copy(), len(null.columns.names)
+    for term in terms:
+        if term.scales_reading:
+            gains[term.joints[0] - 1] = start
+        start += term.count
     products = _row_sums(null, counted, train)
     factor, modelled = (np.ones(motion.axes), None) if near is None else (near.factor, near.modelled)
     least = 2 if near is None else 1
@@ -249,16 +254,6 @@ def _normal(null: NullModel, seen: _Seen, extra: Extra, factor: Floats, count: i
         right[there] += cross[:, -1]
         right[positions] += square[axis] * own.T @ seen.tau_nm[:, axis]
     return information, right
-
-
-def _gain_positions(null: NullModel, terms: Sequence[Term]) -> Ints:
-    """Index of the torque-reading scale (N,) of each axis among the parameters."""
-    found, start = null.gain.copy(), len(null.columns.names)
-    for term in terms:
-        if term.scales_reading:
-            found[term.joints[0] - 1] = start
-        start += term.count
-    return found
 
 
 def _extra(motion: MovingRows, null: NullModel, terms: Sequence[Term], modelled: Modelled | None) -> Extra:

@@ -27,9 +27,18 @@ EVALUATIONS = 150
 def refine(problem: MovingProblem, state: MovingState, term: Term, pool: Sequence[Term]) -> Term:
     """Return the member of an effect's family that fits best, as far as the rows can separate the members."""
     if isinstance(term, MotorCoupling):
-        return _best_coupling(problem, state, term)
+        # Coupling coefficient that the fitted rows prefer; one-to-one unless they contradict it
+        centre = term.coefficient
+        others = [other for other in state.terms if other.label != term.label]
+        grid = np.unique(np.concatenate([centre * COUPLING_STEPS, [np.sign(centre)]]))
+        costs = np.array([coupling_cost(problem, others, term, float(value)) for value in grid])
+        complete = int(np.argmin(np.abs(grid - np.sign(centre))))
+        chosen = complete if costs[complete] - costs.min() < MOVING.coupling_slack else int(np.argmin(costs))
+        return replace(term, coefficient=float(grid[chosen]))
     if term.scales_reading:
-        return _best_scale(problem, state, pool)
+        # Axis whose scale explains most after a full fit; neighbouring axes are equal to first order
+        members = [term for term in pool if term.scales_reading and term not in state.terms]
+        return max(members, key=lambda term: refitted(problem, state, term).gain)
     if not all(term.linear):
         return _best_law(problem, state, term, pool)
     return term
@@ -43,12 +52,6 @@ def reshaped(problem: MovingProblem, state: MovingState, pool: Sequence[Term], n
         others = [other for other in state.terms if other != term]
         state = state_of(problem, (*others, _best_law(problem, state_of(problem, others), term, pool)))
     return state
-
-
-def _best_scale(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) -> Term:
-    """Axis whose scale explains most after a full fit; neighbouring axes are equal to first order."""
-    members = [term for term in pool if term.scales_reading and term not in state.terms]
-    return max(members, key=lambda term: refitted(problem, state, term).gain)
 
 
 def _best_law(problem: MovingProblem, state: MovingState, found: Term, pool: Sequence[Term]) -> Term:
@@ -88,17 +91,6 @@ def _cost(problem: MovingProblem, state: MovingState, term: Term, shape: Floats)
     columns = term.shaped(shape).columns(problem.motion, state.full.modelled)
     solved = extend(state.full, axes, columns, prior_precision(term))
     return 0.0 if solved is None else -solved[3]
-
-
-def _best_coupling(problem: MovingProblem, state: MovingState, term: MotorCoupling) -> MotorCoupling:
-    """Coupling coefficient that the fitted rows prefer; one-to-one unless they contradict it."""
-    centre = term.coefficient
-    others = [other for other in state.terms if other.label != term.label]
-    grid = np.unique(np.concatenate([centre * COUPLING_STEPS, [np.sign(centre)]]))
-    costs = np.array([coupling_cost(problem, others, term, float(value)) for value in grid])
-    complete = int(np.argmin(np.abs(grid - np.sign(centre))))
-    chosen = complete if costs[complete] - costs.min() < MOVING.coupling_slack else int(np.argmin(costs))
-    return replace(term, coefficient=float(grid[chosen]))
 
 
 def coupling_cost(problem: MovingProblem, others: Sequence[Term], term: MotorCoupling, coefficient: float) -> float:

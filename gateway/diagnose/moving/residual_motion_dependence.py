@@ -56,26 +56,9 @@ class Shapeless(OnAxis):
         return SHAPES[self.of](motion, modelled, self.axis)[:, None, :]
 
 
-def _angle(motion: MovingRows, _: Modelled, axis: int) -> Floats:
-    return harmonics(motion.q_rad[:, axis], 2)
-
-
-def _directed(motion: MovingRows, _: Modelled, axis: int) -> Floats:
-    return motion.sign[:, [axis]] * harmonics(motion.q_rad[:, axis], 1)
-
-
 def _speed(motion: MovingRows, _: Modelled, axis: int) -> Floats:
     part, sign = np.abs(motion.qd_rad_s[:, axis]) / float(motion.speed_rad_s[axis]), motion.sign[:, axis]
     return np.stack([sign * np.exp(-part / 0.1), sign * part**2, part], axis=1)
-
-
-def _postures(motion: MovingRows, _: Modelled, axis: int) -> Floats:
-    return np.concatenate([np.sin(motion.q_rad), np.cos(motion.q_rad)], axis=1)
-
-
-def _passed_on(motion: MovingRows, modelled: Modelled, axis: int) -> Floats:
-    torque = modelled.rigid_nm[:, axis]
-    return np.stack([torque, torque * motion.sign[:, axis]], axis=1)
 
 
 def _neighbours(motion: MovingRows, _: Modelled, axis: int) -> Floats:
@@ -83,17 +66,20 @@ def _neighbours(motion: MovingRows, _: Modelled, axis: int) -> Floats:
     return np.concatenate([motion.sign[:, others], motion.qd_rad_s[:, others]], axis=1)
 
 
-def _by_run(motion: MovingRows, _: Modelled, axis: int) -> Floats:
-    other = (motion.run == motion.run.max()).astype(float)
-    return np.stack([other, other * motion.sign[:, axis], other * motion.qd_rad_s[:, axis]], axis=1)
+def _sides(motion: MovingRows, axis: int) -> Floats:
+    """Columns (n, 2): a constant, and the direction of motion."""
+    return np.stack([np.ones(len(motion)), motion.sign[:, axis]], axis=1)
 
 
+#: What the residual may depend on, and its columns (n, k) on an axis; speeds in shares of the fastest.
 SHAPES: Mapping[str, Callable[[MovingRows, Modelled, int], Floats]] = {
-    "angle": _angle,
-    "direction and angle": _directed,
+    "angle": lambda motion, _, axis: harmonics(motion.q_rad[:, axis], 2),
+    "direction and angle": lambda motion, _, axis: motion.sign[:, [axis]] * harmonics(motion.q_rad[:, axis], 1),
     "speed": _speed,
-    "posture": _postures,
+    "posture": lambda motion, _, axis: np.concatenate([np.sin(motion.q_rad), np.cos(motion.q_rad)], axis=1),
     "neighbours": _neighbours,
-    "torque": _passed_on,
-    "run": _by_run,
+    "torque": lambda motion, modelled, axis: modelled.rigid_nm[:, [axis]] * _sides(motion, axis),
+    "run": lambda motion, _, axis: (
+        (motion.run == motion.run.max())[:, None] * np.column_stack([_sides(motion, axis), motion.qd_rad_s[:, axis]])
+    ),
 }

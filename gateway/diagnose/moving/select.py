@@ -110,11 +110,6 @@ def _open(state: MovingState, pool: Sequence[Term]) -> list[Term]:
     ]
 
 
-def _trials(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) -> list[Trial]:
-    trials = trials_of(problem, state.fits, state.full, _open(state, pool))
-    return [trial for trial in trials if trial is not None]
-
-
 def _best(problem: MovingProblem, state: MovingState, pool: Sequence[Term], tried: int) -> Trial | None:
     """Accepted trial with the largest gain, first among the best supported candidates, then among all."""
     terms = _open(state, pool)
@@ -179,7 +174,8 @@ def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -
             for term in pool
             if term.label != key and (touched & set(term.enters(axes)) or {term.name, key[0]} <= DRAWN)
         ]
-        rivals = _trials(problem, smaller, others)
+        trials = trials_of(problem, smaller.fits, smaller.full, _open(smaller, others))
+        rivals = [trial for trial in trials if trial is not None]
         rivals = [
             trial
             for trial in sorted(rivals, key=lambda trial: penalty(trial.term) - trial.gain)[: MOVING.runners]

@@ -44,19 +44,7 @@ def _log_det(matrix: Floats) -> float:
 
 def choose_trust(problem: MovingProblem, terms: Sequence[Term]) -> float | None:
     """Choose the relative standard deviation of the CAD values; None = CAD values are not usable."""
-    problem = _with_noise_left(problem, terms)
-    explanations = [list(terms)]
-    without = [term for term in terms if term.name not in DRAWN]
-    if len(without) < len(terms):
-        explanations.append(without)
-    scores = np.array([[_score(problem, explanation, level) for level in LEVELS] for explanation in explanations])
-    best = scores[int(np.argmax(scores.max(axis=1)))]
-    level = LEVELS[int(np.argmax(best >= best.max() - MOVING.contradicted))]
-    return None if level >= MOVING.worthless else level
-
-
-def _with_noise_left(problem: MovingProblem, terms: Sequence[Term]) -> MovingProblem:
-    """Return the problem with the noise scale and correlation of the model with the effects."""
+    # The problem with the noise scale and correlation of the model with the effects
     motion = problem.motion
     everything = ~motion.held_out
     left = fit(problem, terms, everything, motion.held_out).residual_nm
@@ -66,7 +54,15 @@ def _with_noise_left(problem: MovingProblem, terms: Sequence[Term]) -> MovingPro
         if len(rest):
             sigma[axis] = max(sigma[axis], float(np.sqrt(np.mean(rest**2))))
             share[axis] = min(share[axis], counting_share(rest))
-    return replace(problem, noise=MovingNoise(sigma, share))
+    problem = replace(problem, noise=MovingNoise(sigma, share))
+    explanations = [list(terms)]
+    without = [term for term in terms if term.name not in DRAWN]
+    if len(without) < len(terms):
+        explanations.append(without)
+    scores = np.array([[_score(problem, explanation, level) for level in LEVELS] for explanation in explanations])
+    best = scores[int(np.argmax(scores.max(axis=1)))]
+    level = LEVELS[int(np.argmax(best >= best.max() - MOVING.contradicted))]
+    return None if level >= MOVING.worthless else level
 
 
 def _score(problem: MovingProblem, terms: Sequence[Term], level: float) -> float:

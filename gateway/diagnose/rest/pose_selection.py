@@ -65,7 +65,14 @@ def questions(
         return (_measure(choice, _far_apart(problem.rows, choice), () if few else RIPPLE),)
     names = _names(fits)
     information = _disagreement(problem, robot, knowledge, fits, choice)
-    poses = _spread_out(choice, information)
+    # Select the most informative poses with a minimum distance from each other
+    chosen: list[int] = []
+    for k in np.argsort(-information):
+        if all(np.abs(choice[k] - choice[other]).max() > REST.apart_rad for other in chosen):
+            chosen.append(int(k))
+        if len(chosen) == REST.asked:
+            break
+    poses = np.array(chosen, dtype=int)
     expected = 0.5 * float(information[poses].sum())
     if expected < REST.telling and unordered:
         return (_measure(choice, _far_apart(problem.rows, choice), RIPPLE),)
@@ -151,14 +158,3 @@ def _disagreement(
         squares = 0.5 * ((other - readings[0]) / std) ** 2
         information.append(np.bincount(visit[visit >= 0], weights=squares[visit >= 0], minlength=len(choice)))
     return np.min(np.array(information), axis=0) + REST.total_information_share * np.mean(np.array(information), axis=0)
-
-
-def _spread_out(choice: Floats, information: Floats) -> NDArray[np.int_]:
-    """Select the most informative poses with a minimum distance from each other."""
-    chosen: list[int] = []
-    for k in np.argsort(-information):
-        if all(np.abs(choice[k] - choice[other]).max() > REST.apart_rad for other in chosen):
-            chosen.append(int(k))
-        if len(chosen) == REST.asked:
-            break
-    return np.array(chosen, dtype=int)

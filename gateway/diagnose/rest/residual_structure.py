@@ -63,7 +63,9 @@ class _PoseCorrelation:
 
     def chance(self, products: Floats) -> Floats:
         """P-value (d,) of sums of products (d,): probability of an equal or larger correlation under noise alone."""
-        return _product_tail((products - self.mean) / self.std, self.count)
+        # Upper tail of a standardised sum of `count` products of normals: half the difference of two chi-squares
+        score = (products - self.mean) / self.std
+        return np.exp(np.interp(score, _SCORES, _log_product_tail(self.count)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,11 +293,6 @@ def _sums(rows: Floats, place: Ints, count: int) -> Floats:
     if len(here):
         out[here] = np.add.reduceat(rows[order], first, axis=0)
     return out
-
-
-def _product_tail(score: Floats, count: int) -> Floats:
-    """Upper tail of a standardised sum of `count` products of normals: half the difference of two chi-squares."""
-    return np.exp(np.interp(score, _SCORES, _log_product_tail(count)))
 
 
 @cache

@@ -72,7 +72,11 @@ class Mistake:
         """Return the table with the mistake corrected."""
         axes = [joint - 1 for joint in self.joints]
         if self.name == "axes_swapped":
-            return _swapped(table, self.reading_of(table.tau_nm.shape[1]), self.with_positions)
+            order = self.reading_of(table.tau_nm.shape[1])
+            names = ["tau_nm", "tau_std_nm", "temperature_c"]
+            if self.with_positions:
+                names += ["q_rad", "direction", "q2nd_rad"]
+            return replace(table, **{name: getattr(table, name)[:, order] for name in names})
         scale = np.ones(table.tau_nm.shape[1])
         if self.name == "angles_coupled":
             first, second = axes
@@ -90,13 +94,6 @@ class Mistake:
             columns = {name: getattr(table, name) for name in ("q_rad", "q2nd_rad", "direction")}
             table = replace(table, **{name: np.where(scale < 0, -values, values) for name, values in columns.items()})
         return replace(table, tau_nm=table.tau_nm * scale, tau_std_nm=table.tau_std_nm * np.abs(scale))
-
-
-def _swapped(table: Table, order: NDArray[np.int_], with_positions: bool) -> Table:
-    names = ["tau_nm", "tau_std_nm", "temperature_c"]
-    if with_positions:
-        names += ["q_rad", "direction", "q2nd_rad"]
-    return replace(table, **{name: getattr(table, name)[:, order] for name in names})
 
 
 def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:

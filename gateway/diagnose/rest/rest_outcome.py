@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from gateway.diagnose.held_out_residuals import Held, listed
+from gateway.diagnose.held_out_residuals import Held
 from gateway.diagnose.rest.holdout import Unseen, WithoutPose, left_out, left_out_with, predicted, prediction_covariance
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.rest_mistakes import Mistake
@@ -22,6 +22,7 @@ from gateway.model.effects import MISTAKES
 from gateway.model.term import Term
 from gateway.model.unnamed import UNNAMED
 from gateway.result.result import EffectResult, Evidence, Finding, FitSummary, LoadResult, Rejected
+from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 #: Odds [-] beyond which a number means no more than certain.
@@ -85,8 +86,8 @@ class Judge:
 def summary(problem: RestProblem, fit: Fit, judge: Judge, loads: tuple[LoadResult, ...]) -> FitSummary:
     """Residuals of one fit, with the loads that are reported of it."""
     return FitSummary(
-        rms_nm=listed(Held.of_rows(fit.residual, problem.axis, problem.axes).rms_nm),
-        holdout_rms_nm=listed(judge.leaves(fit).rms_nm),
+        rms_nm=numbers(Held.of_rows(fit.residual, problem.axis, problem.axes).rms_nm),
+        holdout_rms_nm=numbers(judge.leaves(fit).rms_nm),
         loads=loads,
     )
 
@@ -261,4 +262,4 @@ def rejected(search: Search, decision: Decision) -> list[Rejected]:
 def floor_and_band(problem: RestProblem, decision: Decision) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Noise floor and friction band of each axis; NaN where the axis was not measured."""
     measured = problem.use_difference.any(axis=0)
-    return listed(noise_floor(problem, decision)), listed(np.where(measured, decision.after.band, np.nan))
+    return numbers(noise_floor(problem, decision)), numbers(np.where(measured, decision.after.band, np.nan))

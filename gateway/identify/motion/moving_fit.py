@@ -126,7 +126,15 @@ def fit_motion(
     if not len(moving):
         raise DataUnusable("the data hold no moving rows")
     moving = at_links(moving)
-    _check_speeds(moving)
+    # Refuse speeds that contradict the positions: rows too far apart, or another unit
+    off = Stretches.of(uninterrupted(moving), moving.time_s).mismatch(moving.q_rad, moving.qd_rad_s)
+    axis = int(np.argmax(off))
+    if off[axis] > _MISMATCH:
+        raise DataUnusable(
+            f"J{axis + 1}: from row to row the change of its position differs from its speed, by"
+            f" {100 * off[axis]:.0f} % of the travel: the motion was sampled too slowly, or the speed has another unit;"
+            " record at 100 Hz or more, speeds in rad/s"
+        )
     periods = averaged(moving, _used(moving, robot, setup))
     sound, refused = _without_slipped(periods, knowledge)
     if not len(sound.mean):
@@ -211,23 +219,6 @@ def _used(moving: Table, robot: Robot, setup: MovingSetup) -> Mask:
     stated = np.isfinite(robot.velocity_rad_s) & (robot.velocity_rad_s > 0.0)
     fastest = np.where(stated, robot.velocity_rad_s, top_rad_s)
     return np.isfinite(moving.tau_nm) & turns(moving.qd_rad_s, fastest, setup.slow_share)
-
-
-def _check_speeds(moving: Table) -> None:
-    """Refuse speeds that contradict the positions: rows too far apart, or another unit.
-
-    Raises
-    ------
-    DataUnusable
-    """
-    off = Stretches.of(uninterrupted(moving), moving.time_s).mismatch(moving.q_rad, moving.qd_rad_s)
-    axis = int(np.argmax(off))
-    if off[axis] > _MISMATCH:
-        raise DataUnusable(
-            f"J{axis + 1}: from row to row the change of its position differs from its speed, by"
-            f" {100 * off[axis]:.0f} % of the travel: the motion was sampled too slowly, or the speed has another unit;"
-            " record at 100 Hz or more, speeds in rad/s"
-        )
 
 
 def _solved(

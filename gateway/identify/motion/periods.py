@@ -127,7 +127,18 @@ def averaged(moving: Table, judged: Mask) -> Periods:
     occasions, occasion = occasions_of(moving)
     for number, excitation in dict.fromkeys(zip(occasion[periodic].tolist(), keys[0][periodic].tolist(), strict=True)):
         mine, label = np.flatnonzero(periodic & (occasion == number) & (keys[0] == excitation)), occasions[number][1]
-        group = _group(mine, moving, keys[1][mine], keys[2][mine])
+        # Rows of one recording, load and excitation by period, in time order
+        phase_s = keys[2][mine]
+        names, which = numbered([moving.file[k] for k in mine], keys[1][mine])
+        numbers = np.array([name[1] for name in names])
+        steps = np.concatenate([np.diff(np.sort(phase_s[which == k])) for k in range(len(numbers))])
+        steps = steps[steps > 0]
+        step = float(np.median(steps)) if len(steps) else 1.0
+        place = np.rint(phase_s / step).astype(int)
+        place -= place.min()
+        rows = np.full((len(numbers), int(place.max()) + 1), -1)
+        rows[which, place] = mine
+        group = _Group(rows[:, (rows >= 0).any(axis=0)], numbers, step)
         step_s = group.step_s
         slip = _slip(moving, group, judged)
         if slip is not None:
@@ -151,20 +162,6 @@ def averaged(moving: Table, judged: Mask) -> Periods:
         tuple(findings),
         slipped,
     )
-
-
-def _group(mine: Ints, moving: Table, period: Floats, phase_s: Floats) -> _Group:
-    """Rows of one recording, load and excitation by period, in time order."""
-    names, which = numbered([moving.file[k] for k in mine], period)
-    numbers = np.array([name[1] for name in names])
-    steps = np.concatenate([np.diff(np.sort(phase_s[which == k])) for k in range(len(numbers))])
-    steps = steps[steps > 0]
-    step = float(np.median(steps)) if len(steps) else 1.0
-    place = np.rint(phase_s / step).astype(int)
-    place -= place.min()
-    rows = np.full((len(numbers), int(place.max()) + 1), -1)
-    rows[which, place] = mine
-    return _Group(rows[:, (rows >= 0).any(axis=0)], numbers, step)
 
 
 def _torques(moving: Table, group: _Group, judged: Mask) -> Floats:

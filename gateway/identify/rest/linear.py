@@ -374,7 +374,24 @@ def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, l
     bodies = problem.model.bodies(setting, links, visit_loads(problem, loads))
     torque, regressor = problem.model.joint_torque(setting, bodies)
     chain = problem.model.sum_by_torque(setting, torque, band)
-    slopes = _axis_slopes(problem, setting, torque, band)
+    # Derivatives by bands and by each kind of nuisance parameters; the gains are the second entry
+    model, axes = problem.model, problem.axes
+    base = model.readings(setting, torque, band)
+    coupled = axes > 1 and bool(np.any(setting.coupling != np.eye(axes)))
+    slopes = []
+    for place, kind in enumerate((None, *NUISANCE_KINDS)):
+        step = _STEP * (1.0 + np.abs(band)) if kind is None or kind.name == "bias" else np.full(axes, _STEP)
+        sums, differences = [], []
+        for moved in np.eye(axes) if coupled else np.ones((1, axes)):
+            if kind is None:
+                shifted = model.readings(setting, torque, band + step * moved)
+            else:
+                shifted = model.readings(kind.raised(setting, step * moved, problem.rows), torque, band)
+            size = step[moved > 0]
+            sums.append((shifted.sum_nm - base.sum_nm) / size)
+            differences.append((shifted.difference_nm - base.difference_nm) / size)
+        halves = None if kind is not None and kind.name == "gain" else np.stack(differences, axis=2)
+        slopes.append(_Slopes(problem.band_part.start + place * axes, np.stack(sums, axis=2), halves))
     groups = _groups(problem, setting, chain, regressor, slopes)
     return ByGroup.of_groups(len(problem.target), problem.n_common, groups)
 
@@ -432,32 +449,6 @@ class _Slopes:
     def coupled(self) -> bool:
         """Return whether the reading of an axis depends on another axis."""
         return self.sums.shape[2] > 1
-
-
-def _axis_slopes(problem: RestProblem, setting: AlteredModel, torque: Floats, band: Floats) -> list[_Slopes]:
-    """Derivatives by bands and by each kind of nuisance parameters; the gains are the second entry.
-
-    Half differences determine friction alone, in the scale of the reading: they determine neither weights nor gains.
-    Where no axis is read in another they are independent of each other: one step serves all axes at once.
-    """
-    model, axes = problem.model, problem.axes
-    base = model.readings(setting, torque, band)
-    coupled = axes > 1 and bool(np.any(setting.coupling != np.eye(axes)))
-    out = []
-    for place, kind in enumerate((None, *NUISANCE_KINDS)):
-        step = _STEP * (1.0 + np.abs(band)) if kind is None or kind.name == "bias" else np.full(axes, _STEP)
-        sums, differences = [], []
-        for moved in np.eye(axes) if coupled else np.ones((1, axes)):
-            if kind is None:
-                shifted = model.readings(setting, torque, band + step * moved)
-            else:
-                shifted = model.readings(kind.raised(setting, step * moved, problem.rows), torque, band)
-            size = step[moved > 0]
-            sums.append((shifted.sum_nm - base.sum_nm) / size)
-            differences.append((shifted.difference_nm - base.difference_nm) / size)
-        halves = None if kind is not None and kind.name == "gain" else np.stack(differences, axis=2)
-        out.append(_Slopes(problem.band_part.start + place * axes, np.stack(sums, axis=2), halves))
-    return out
 
 
 def term_columns(

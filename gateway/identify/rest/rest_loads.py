@@ -73,7 +73,11 @@ def _load(
     problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Floats, by_statement: Mapping[str, Floats]
 ) -> LoadEstimate:
     part = problem.load_part(index)
-    found = _determined(problem, fit, part)
+    # Mask (4,) of the determined entries of [m, hx, hy, hz]; an undetermined mass leaves the centre undetermined
+    pure = np.zeros((4, len(fit.scale)))
+    pure[:, part] = np.eye(4)
+    found = well_determined(problem, fit, pure)
+    found[1:] &= found[0]
     directions = np.zeros((4, len(fit.scale)))
     directions[:, part] = load_directions(fit.loads[index])
     wider, stated = widening(problem, fit, directions), np.zeros((4, 4)) + sum(by_statement.values())
@@ -136,15 +140,6 @@ def well_determined(problem: RestProblem, fit: Fit, directions: Floats) -> NDArr
         return found
     variance = np.einsum("ki,ij,kj->k", directions, fit.covariance, directions)
     return found & (variance < (OPEN_SHARE * OPEN_MASS_KG) ** 2)
-
-
-def _determined(problem: RestProblem, fit: Fit, part: slice) -> NDArray[np.bool_]:
-    """Mask (4,) of the determined entries of [m, hx, hy, hz]; an undetermined mass leaves the centre undetermined."""
-    pure = np.zeros((4, len(fit.scale)))
-    pure[:, part] = np.eye(4)
-    found = well_determined(problem, fit, pure)
-    found[1:] &= found[0]
-    return found
 
 
 def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""Two dozen kinds of faults, once each, in both pacings; `make chaos` plays all of them several times."""
+"""Two dozen kinds of faults, once each, in both modes and pacings; `make chaos` plays all of them several times."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ IN_LOCKSTEP = (
 BY_THE_CLOCK = ("tpdo_gone", "burst", "drive_fault", "tpdo3_on", "second_master_nmt", "estop_pressed")
 
 
-@pytest.fixture(scope="module")
-def running() -> Iterator[Rig]:
-    with rig() as made:
+@pytest.fixture(scope="module", params=[8, 7], ids="mode {}".format)
+def running(request) -> Iterator[Rig]:
+    with rig(mode=request.param) as made:
         yield made
 
 
-@pytest.fixture(scope="module")
-def by_the_clock() -> Iterator[Remote]:
-    with remote(0.02) as made:
+@pytest.fixture(scope="module", params=[8, 7], ids="mode {}".format)
+def by_the_clock(request) -> Iterator[Remote]:
+    with remote(0.02, request.param) as made:
         yield made
 
 
@@ -67,6 +67,18 @@ def test_fault_ends_as_stated_by_the_clock(by_the_clock: Remote, kind: str) -> N
     if not outcome.fine and outcome.held_up:
         pytest.skip("a sleeper on the same core saw longer stalls than this fault allows")
     assert outcome.fine, outcome.complaints
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pacing", ["lockstep", pytest.param("real", marks=pytest.mark.clock)])
+def test_axes_in_mode_7_follow_their_targets_as_closely_as_in_mode_8(pacing: str) -> None:
+    behind = {}
+    for mode in (7, 8):
+        with remote(0.02, mode) if pacing == "real" else rig(mode=mode) as drives:
+            outcome = play_again(drives, "object_value", seed=1)
+        assert outcome.fine, outcome.complaints
+        behind[mode] = outcome.behind
+    assert 0 < behind[7] < 1.2 * behind[8], behind
 
 
 def test_every_kind_is_played_here_or_in_a_process_of_its_own() -> None:

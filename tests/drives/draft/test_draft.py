@@ -107,6 +107,12 @@ def test_one_answer_short_is_not_enough(device, left_out):
     assert left_out in {question.key for question in open_questions(device(), ProfileAnswers.model_validate(answers))}
 
 
+@pytest.mark.parametrize("answers", [{"warning_codes": "0x4310, 0x4310"}, {"ramp_counts_s2": 10.0}])
+def test_an_answer_that_says_nothing_is_refused(device, answers):
+    with pytest.raises(ProfileError, match="0x4310 is listed twice|answer velocity_unit_rad_s"):
+        profile_of(device(), **TORQUE, **answers)
+
+
 def test_a_source_that_says_assumed_is_none(device):
     assert profile_of(device(), **TORQUE | {"torque_source": "Assumed, as always"}).obstacles
 
@@ -119,10 +125,9 @@ def test_unknown_counts_refuse_motion(device):
     (obstacle,) = profile_of(device(STRANGE), **TORQUE).obstacles
     assert "counts per motor revolution" in obstacle
     assert "[position]" in obstacle
-    assert profile_of(device(STRANGE), **TORQUE, counts_per_revolution=4096).obstacles == ()
 
 
-@pytest.mark.parametrize(("counts", "turns", "asks"), [(1, 1, True), (1, None, True), (4096, 1, False)])
+@pytest.mark.parametrize(("counts", "turns", "asks"), [(1, 1, True), (1, None, True), (0, 1, True), (4096, 1, False)])
 def test_counts_that_a_drive_answers_as_one_for_one_are_asked(device, counts, turns, asks):
     identity = Identity(3, 0x20192, 0x1234, 0x77, 0x30000, 9, "x", "h", "1.2")
     profile = profile_of(Device(device(GENERIC).sheet, identity, {(0x608F, 1): counts, (0x608F, 2): turns}), **TORQUE)
@@ -210,12 +215,12 @@ def test_a_drive_that_states_interpolated_position_alone_is_moved_in_it(device):
 
 
 def test_what_a_manual_says_of_mode_statusword_and_warnings_is_taken(device):
-    typed = {"cyclic_mode": "7", "mode_before_enable": "false", "ignored_status": "0x0800"}
+    typed = {"cyclic_mode": "7", "ignored_status": "0x0800"}
     profile = profile_of(
         device(), **with_answers(ProfileAnswers(), typed | {"warning_codes": "0x4310, 0x4390"}).model_dump()
     )
     machine = profile.state_machine
-    assert (machine.cyclic_mode, machine.mode_before_enable, machine.ignored_status) == (7, False, 0x0800)
+    assert (machine.cyclic_mode, machine.ignored_status) == (7, 0x0800)
     assert [(entry.code, entry.warning) for entry in profile.emcy] == [(0x4310, True), (0x4390, True)]
 
 
@@ -264,7 +269,6 @@ def test_questions_follow_from_answers_and_end(device):
     ("code", "unit"),
     [
         (0x00B44700, 0.10471975511965977),
-        (0xFDB44700, 0.10471975511965977e-3),
         (0x00B40300, 6.283185307179586),
         (0x00100300, 1.0),
         (0xFF100300, 0.1),
@@ -311,5 +315,3 @@ def test_a_profile_beside_the_cell_is_found_with_and_without_its_suffix(tmp_path
     (tmp_path / "mine.toml").write_text(text)
     assert find_profile("mine", tmp_path).text == find_profile("mine.toml", tmp_path).text == text
     assert find_profile("maxon-epos4", tmp_path).name == "maxon-epos4"
-    with pytest.raises(ProfileError, match="none"):
-        find_profile("none", tmp_path)

@@ -83,7 +83,7 @@ AXIS = ("arm", 0, "axis", 2)
         (("arm", 0), "load_radius_m", -0.1, "load_radius_m"),
         (("arm", 0), "hold_to_run", HOLD | {"good": 5}, "bits outside mask 0x4"),
         (("arm", 0), "hold_to_run", HOLD | {"good": 0}, "the same as a broken wire"),
-        (("arm", 0), "hold_to_run", HOLD | {"node_id": 0}, "node_id = 0 must be at least 1: write node_id = INTEGER"),
+        (("arm", 0), "hold_to_run", HOLD | {"node_id": 0}, "node_id = 0 must be at least 1: write node_id = 1 to 127"),
         (("arm", 0), "hold_to_run", HOLD | {"object": {"index": 0xFD}}, "object: index = 253 must be at least 4096"),
         (("arm", 0), "hold_to_run", HOLD | {"key": "space"}, "key: unknown key"),
         (("bus", "a"), "allow_real_drive", "perhaps", "allow_real_drive"),

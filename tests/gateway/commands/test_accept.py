@@ -7,7 +7,6 @@ import re
 import shutil
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio
@@ -22,36 +21,11 @@ from gateway.model.robot import robot_from_urdf
 from gateway.pipeline.workspace_acceptance import flange_equivalent
 from gateway.result.result import EffectResult, LoadResult, read_result, to_json
 from tests.data.arms import peer_of
-from tests.support.rigs.tables import make_table
+from tests.data.resting_arm import LIMIT, POSES, SMALL, two_sided
 
-SMALL = Path(__file__).parents[3] / "examples" / "small"
-LIMIT = np.array([2.5, 1.4, 1.6, 2.5, 1.6, 2.5])
-POSES = np.random.default_rng(4).uniform(-LIMIT, LIMIT, (10, 6))
 UNSEEN = np.random.default_rng(8).uniform(-LIMIT, LIMIT, (10, 6))
-BAND_NM = np.array([10.0, 8.0, 5.0, 1.0, 1.0, 0.5])
 TOOL = (4.0, 0.03, 0.02, 0.10)
 TOLERANCE = "3%"
-
-
-def rows(load, carried, q=POSES, start_s=0.0, seed=1, error=None):
-    rng = np.random.default_rng([seed, len(load)])
-    model, _ = peer_of((SMALL / "robot.urdf").read_text(encoding="utf-8"))
-    if carried is not None:
-        body = pinocchio.Inertia(carried[0], np.array(carried[1:]), np.zeros((3, 3)))
-        model.appendBodyToJoint(model.nv, body, pinocchio.SE3.Identity())
-    data = model.createData()
-    torque = np.array([pinocchio.computeGeneralizedGravity(model, data, angles).copy() for angles in q])
-    torque += 0.0 if error is None else error(q)
-    sides = [torque + side * BAND_NM * (1 + 0.02 * rng.standard_normal(torque.shape)) for side in (1, -1)]
-    count = len(q)
-    return make_table(
-        [load] * (2 * count),
-        np.tile(np.arange(1, 1 + count), 2),
-        np.tile(q, (2, 1)),
-        np.vstack(sides),
-        time=start_s + 20.0 * np.tile(np.arange(count), 2) + np.repeat([0.0, 8.0], count),
-        direction=np.repeat([[1] * 6, [-1] * 6], count, axis=0),
-    )
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +34,7 @@ def identified(tmp_path_factory):
     folder = tmp_path_factory.mktemp("identified")
     for name in ("cell.toml", "robot.urdf"):
         shutil.copy(SMALL / name, folder / name)
-    write_csv(concatenate([rows("none", None), rows("tool", TOOL, start_s=300.0)]), folder / "seen.csv")
+    write_csv(concatenate([two_sided("none", None), two_sided("tool", TOOL, start_s=300.0)]), folder / "seen.csv")
     words = ["estimate", folder / "seen.csv", "--cell", folder / "cell.toml", "--json", folder / "result.json"]
     done = CliRunner().invoke(main, [str(word) for word in words])
     assert done.exit_code == 0, done.output
@@ -70,7 +44,7 @@ def identified(tmp_path_factory):
 @pytest.fixture
 def accept(identified, tmp_path):
     def run(*more, content=None, result=None, tolerance=TOLERANCE):
-        write_csv(rows("tool", TOOL, UNSEEN, 2000.0, 7) if content is None else content, tmp_path / "unseen.csv")
+        write_csv(two_sided("tool", TOOL, UNSEEN, 2000.0, 7) if content is None else content, tmp_path / "unseen.csv")
         load = identified / "result.json"
         if result is not None:
             load = tmp_path / "changed.json"
@@ -130,7 +104,7 @@ def test_a_spring_that_is_in_no_model_fails(accept, tmp_path, joint):
         out[:, joint - 1] = 2.0 * limit * np.tanh(2.0 * q[:, joint - 1])
         return out
 
-    done = accept("--json", tmp_path / "a.json", content=rows("tool", TOOL, UNSEEN, 2000.0, 7, spring))
+    done = accept("--json", tmp_path / "a.json", content=two_sided("tool", TOOL, UNSEEN, 2000.0, 7, error=spring))
     assert done.exit_code == 7, done.output
     assert json.loads((tmp_path / "a.json").read_text())["outcome"] == "fail"
 
@@ -142,7 +116,7 @@ def torque_limits():
 
 
 def test_poses_that_were_seen_do_not_count(accept):
-    done = accept(content=rows("tool", TOOL, POSES, 2000.0, 7))
+    done = accept(content=two_sided("tool", TOOL, POSES, 2000.0, 7))
     assert done.exit_code == 6, done.output
     assert "no unseen pose" in done.output
 
@@ -188,7 +162,7 @@ def cable(q, share=1.0):
 @pytest.mark.parametrize(("share", "outcome"), [(1.0, "pass"), (0.0, "fail"), (1.6, "fail")])
 def test_the_torque_of_an_effect_of_the_result_is_predicted(accept, identified, tmp_path, share, outcome):
     """The cable of the result is there, was taken off, or pulls harder."""
-    content = rows("tool", TOOL, UNSEEN, 2000.0, 7, lambda q: cable(q, share))
+    content = two_sided("tool", TOOL, UNSEEN, 2000.0, 7, error=lambda q: cable(q, share))
     result = changed_result(identified, effects=(CABLE,), verdict="improved")
     done = accept("--json", tmp_path / "a.json", content=content, result=result)
     assert done.exit_code == (0 if outcome == "pass" else 7), done.output
@@ -206,9 +180,9 @@ def test_a_load_diagnosed_beside_a_cable_passes(tmp_path):
         text = re.sub(r"gear_efficiency = \{ value = [\d.]+", "gear_efficiency = { value = 1.0", text)
         (tmp_path / name).write_text(text, encoding="utf-8")
     poses = np.random.default_rng(4).uniform(-LIMIT, LIMIT, (14, 6))
-    seen = [rows("none", None, poses, error=cable), rows("tool", TOOL, poses, start_s=600.0, error=cable)]
+    seen = [two_sided("none", None, poses, error=cable), two_sided("tool", TOOL, poses, start_s=600.0, error=cable)]
     write_csv(concatenate(seen), tmp_path / "seen.csv")
-    write_csv(rows("tool", TOOL, UNSEEN, 2000.0, 7, cable), tmp_path / "unseen.csv")
+    write_csv(two_sided("tool", TOOL, UNSEEN, 2000.0, 7, error=cable), tmp_path / "unseen.csv")
     cell, result = tmp_path / "cell.toml", tmp_path / "result.json"
     done = CliRunner().invoke(
         main, ["diagnose", str(tmp_path / "seen.csv"), "--cell", str(cell), "--json", str(result)]

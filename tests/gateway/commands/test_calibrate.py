@@ -6,10 +6,9 @@ import json
 import re
 import shutil
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
+from functools import partial
 
 import numpy as np
-import pinocchio
 import pytest
 from click.testing import CliRunner
 
@@ -19,38 +18,13 @@ from gateway.cli import main
 from gateway.data.rows import Table, concatenate
 from gateway.data.table import write_csv
 from gateway.pipeline.inputs import ModelRequest, collect_inputs
-from tests.data.arms import peer_of
-from tests.support.rigs.tables import make_table
+from tests.data.resting_arm import SMALL, two_sided
 
-SMALL = Path(__file__).parents[3] / "examples" / "small"
-LIMIT = np.array([2.5, 1.4, 1.6, 2.5, 1.6, 2.5])
-POSES = np.random.default_rng(4).uniform(-LIMIT, LIMIT, (10, 6))
 #: Torque by the constants of the cell file over the true torque, less 1.
 GAIN = np.array([0.0, 0.02, 0.04, -0.03, 0.05, 0.01])
-BAND_NM = np.array([10.0, 8.0, 5.0, 1.0, 1.0, 0.5])
 WEIGHT, TOOL = (5.0, 0.02, -0.01, 0.10), (8.0, 0.05, 0.02, 0.12)
 WEIGHED = "weight=5,0.02,-0.01,0.1"
-
-
-def rows(load: str, carried, q=POSES, first=1, start_s=0.0, gain=GAIN, seed=1) -> Table:
-    """Two-sided rest rows of the small arm with a load (mass, x, y, z) or None."""
-    rng = np.random.default_rng([seed, first, len(load)])
-    model, _ = peer_of((SMALL / "robot.urdf").read_text(encoding="utf-8"))
-    if carried is not None:
-        body = pinocchio.Inertia(carried[0], np.array(carried[1:]), np.zeros((3, 3)))
-        model.appendBodyToJoint(model.nv, body, pinocchio.SE3.Identity())
-    data = model.createData()
-    torque = np.array([pinocchio.computeGeneralizedGravity(model, data, angles).copy() for angles in q])
-    sides = [torque + side * BAND_NM * (1 + 0.02 * rng.standard_normal(torque.shape)) for side in (1, -1)]
-    count = len(q)
-    return make_table(
-        [load] * (2 * count),
-        np.tile(np.arange(first, first + count), 2),
-        np.tile(q, (2, 1)),
-        np.vstack(sides) * (1 + gain),
-        time=start_s + 20.0 * np.tile(np.arange(count), 2) + np.repeat([0.0, 8.0], count),
-        direction=np.repeat([[1] * 6, [-1] * 6], count, axis=0),
-    )
+rows = partial(two_sided, gain=GAIN)
 
 
 def bracket(**more) -> Table:

@@ -95,9 +95,3 @@ def test_what_the_arm_cannot_determine_is_reported(arm, measured):
     first = max(2, arm.robot.axes - 2)
     with pytest.raises(DataUnusable, match=f"turn axes {first} to {arm.robot.axes}"):
         estimate(table, arm.robot, Knowledge(link_std=np.inf), "difference")
-
-
-def test_poses_that_are_asked_for_have_an_angle_per_axis(arm, measured):
-    table = measured(arm, postures(arm, 3), {"none": None, "tool": LOAD}, np.random.default_rng(4), left=0.1)
-    asked = [pose for entry in run(table, arm.robot, Knowledge(link_std=np.inf)).next for pose in entry.poses_rad]
-    assert {len(pose) for pose in asked} == {arm.robot.axes}

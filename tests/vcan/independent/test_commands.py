@@ -65,9 +65,9 @@ def test_from_the_first_motion_to_the_load(place, drives):
     assert counts == pytest.approx([round(each) for each in AT_TARGET], abs=20)
     bare, loaded = place.folder / "bare.h5", place.folder / "loaded.h5"
     poses = [word for pose in POSES for word in ("--pose", pose)]
-    place.types("record", place.cell, "--load", "none", "-o", bare, "--yes", *poses)
+    place.types("record", place.cell, "--load", "none", "--yes", *poses, output=bare)
     drives.attach(*LOAD)
-    place.types("record", place.cell, "--load", "part", "-o", loaded, "--yes", *poses)
+    place.types("record", place.cell, "--load", "part", "--yes", *poses, output=loaded)
     (load,) = place.result("estimate", bare, loaded, "--cell", place.cell, bus=False)["loads"]
     mass, com = LOAD
     print(f"load {load['mass_kg']:.3f} +- {1.96 * load['mass_std_kg']:.3f} kg of {mass} kg (95 %)")

@@ -130,20 +130,6 @@ def test_no_gain_and_no_loss_goes_beyond_its_usual_range_unless_it_is_an_effect(
     assert found.value[-1] == pytest.approx(0.3, abs=0.03)
 
 
-@pytest.mark.slow
-def test_the_stated_torque_constants_decide_the_uncertainty_of_a_mass():
-    table, robot = several(2, {"none": None, "b": LOADS["b"]})
-    certain, unsure = (
-        diagnose(table, robot, Knowledge(gain_std=(std,) * 6), only=frozenset({"base_tilt"})).loads[0]
-        for std in (0.0, 0.10)
-    )
-    assert certain.budget["constants"] < 0.35, "gears lose unevenly"
-    # gains change from one recording to the next, whatever is known of the constants
-    assert unsure.mass_std_kg > 1.1 * certain.mass_std_kg
-    variances = [each.budget["constants"] * each.mass_std_kg**2 for each in (certain, unsure)]
-    assert variances[1] > variances[0]
-
-
 def test_a_sign_is_not_reversed_where_friction_is_right_in_a_run():
     """Friction of one axis takes power in the first run and seems to give it in the second."""
     first, robot, scale = measured([1, 0], World(), duration_s=12.0, arm_seed=1)
