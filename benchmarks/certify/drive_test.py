@@ -24,7 +24,6 @@ from benchmarks.certify.drive_truth import read_truth
 from benchmarks.figure import conclude, figure
 from benchmarks.program import options
 from drives.profile_file import PROFILE_FOLDER
-from sim.drive_faults import CONTROLWORD_DELAY_S
 from sim.faults import KINDS
 from sim.serve import running
 from tests.support.rigs.pacing import by_the_clock, in_lockstep
@@ -108,7 +107,7 @@ def _true_interval(name: str, truth: dict[str, float], defect: str) -> tuple[flo
     if name == "torque_age_s" and not defect:
         return truth["filter_s"], truth["filter_s"] + 0.001  # the reading is a mean over one simulated step
     if name == "controlword_to_reaction_s" and "sync_to_tpdo_s" in truth:
-        delay_s = CONTROLWORD_DELAY_S if defect == "delayed_controlword" else 0.0
+        delay_s = KINDS[defect].defaults["delay_s"] if defect == "delayed_controlword" else 0.0
         return delay_s, delay_s + truth["sync_to_tpdo_s"]
     if name not in truth:
         return None

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.chaos.judging import held_up
-from benchmarks.chaos.rig import Drives, adapters
+from benchmarks.chaos.remote import Remote
+from benchmarks.chaos.rig import Rig, adapters
 from benchmarks.chaos.scenarios import TRIES, short_plan
 from drives.bus import SDO_ANSWER_BASE, BusSpec
 from drives.realtime import RealTime
@@ -95,7 +96,7 @@ class Broken:
             raise OSError(5, "Input/output error")
 
 
-def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
+def play(drives: Rig | Remote, kind: str, seed: int) -> tuple[list[str], bool]:
     """One fault; what was not as stated, and whether the machine was stalled meanwhile."""
     drives.renew()
     rng = random.Random(f"{kind} {seed}")
@@ -197,7 +198,7 @@ def judge(
     return complaints
 
 
-def play_again(drives: Drives, kind: str, seed: int) -> tuple[list[str], int]:
+def play_again(drives: Rig | Remote, kind: str, seed: int) -> tuple[list[str], int]:
     """`play`, again where the machine was stalled; what was not as stated, and how often it was begun again."""
     real = drives.loaded.cell.bus[drives.loaded.cell.arm[0].bus].pacing == "real"
     for tries in range(TRIES):

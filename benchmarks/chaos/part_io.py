@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any
 
 from benchmarks.chaos.io_faults import KINDS, play_again
-from benchmarks.chaos.remote import remote
-from benchmarks.chaos.rig import Drives, rig
+from benchmarks.chaos.remote import Remote, remote
+from benchmarks.chaos.rig import Rig, rig
 from benchmarks.figure import figure
 
 SEEDS = 3
@@ -19,7 +19,7 @@ PERIOD_S = 0.02
 def figures(scope: Any) -> dict[str, dict]:
     """All kinds, in both pacings."""
     out: dict[str, dict] = {}
-    drives_in: dict[str, Callable[[], AbstractContextManager[Drives]]] = {
+    drives_in: dict[str, Callable[[], AbstractContextManager[Rig | Remote]]] = {
         "lockstep": rig,
         "real": partial(remote, PERIOD_S),
     }

@@ -95,10 +95,10 @@ def identified_by_table(place, gateway):
     """A result of the small arm from a table, without a bus."""
     from gateway.data.rows import concatenate
     from gateway.data.table import write_csv
-    from tests.gateway.commands.test_accept import rows
+    from tests.data.resting_arm import two_sided
 
     # mass and centre of gravity as in the payload file
-    seen = [rows("none", None), rows("load", (6.0, 0.02, 0.01, 0.10), start_s=300.0)]
+    seen = [two_sided("none", None), two_sided("load", (6.0, 0.02, 0.01, 0.10), start_s=300.0)]
     write_csv(concatenate(seen), place.folder / "seen.csv")
     done = gateway("estimate", place.folder / "seen.csv", "--cell", place.cell, "--json", place.folder / "r.json")
     assert done.exit_code == 0, done.output
