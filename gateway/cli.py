@@ -53,6 +53,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "estimate": ("identification", "Estimate mass and centre of gravity of each load from DATA."),
     "diagnose": ("identification", "Find the effects that the model lacks, validated on held-out data."),
     "compare": ("compare", "Compare two results of one robot, before and after service."),
+    "rehearse": ("rehearse", "What a plan would find: known effects put into simulated arms (no bus)."),
     "cost": ("cost", "Cycle time and torque reserve before and after a load is entered."),
     "accept": ("accept", "Validate an entered load at unseen poses over the workspace."),
     "replay": ("replay", "Recompute a stored measurement and list the differences."),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -56,6 +57,20 @@ def serve(cell: Path, **options: Any) -> None:
         print(f"servo-sim: {error}", file=sys.stderr)
         sys.exit(BUS_ERROR)
     except (ValueError, OSError) as error:
+        print(f"servo-sim: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(FILE_ERROR)
+
+
+@main.command()
+@click.argument("cell", type=click.Path(path_type=Path))
+@click.option("--arm", metavar="NAME", help="Arm of the cell, if it has several.")
+def rehearse(cell: Path, arm: str | None) -> None:
+    """Measure an arm drawn within the statements of CELL: the request comes on stdin as JSON, the truth on stdout."""
+    from sim.rehearsal import answered
+
+    try:
+        print(json.dumps(answered(cell, arm, json.load(sys.stdin))))
+    except (ValueError, KeyError, TypeError, OSError) as error:
         print(f"servo-sim: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(FILE_ERROR)
 

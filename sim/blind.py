@@ -1,28 +1,25 @@
-"""Blind cells: an arm drawn from a seed with one undeclared effect, none, or two; the truth is written to a separate
-file.
+"""Strength of an undeclared effect, and effects drawn near a wanted strength.
 
 The strength of an effect is its part of the measured rows that link and load parameters cannot absorb. Its torques are
 weighted by the noise floor of each axis and projected on the base and load columns, with the prior on the link
 parameters as rows. The strength is the RMS of the remainder over the visits, on the axis where that is largest. For an
 effect between the two sides of a visit: RMS of half the difference after removing each axis's mean, over the floor.
-Cells are drawn by that strength; `strength_beyond` projects the nuisance parameters out as well: errors of the torque
-constants and a bias of friction by direction.
+Nuisance parameters may be projected out as well: errors of the torque constants and a bias of friction by direction.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.draw import LOADED_S, POSES, VISIT_S, DrawnArm, choose_poses, draw_arm
-from sim.draw_effects import MAKERS, MISTAKES, OFF_MAKERS, Effect, Maker
+from sim.draw import DrawnArm
+from sim.draw_effects import MISTAKES, Effect, Maker
 from sim.effects import apply_effects
-from sim.offline import PlannedVisit, Protocol, gravity_columns, measure, point_jacobian
-from sim.plant import Plant
+from sim.offline import PlannedVisit, gravity_columns, measure, point_jacobian
 
 Array = NDArray[np.float64]
 Drawn = TypeVar("Drawn")
@@ -30,56 +27,6 @@ Drawn = TypeVar("Drawn")
 LEAST_STRENGTH, MOST_STRENGTH = 1.5, 20.0
 #: Nuisance parameters, one standard deviation: relative error of a torque constant, bias by direction over the band.
 GAIN_STD, BIAS_SHARE = 0.03, 0.1
-MIX = {"clean": 0.52, "two": 0.14, "off": 0.08}
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """Effects built into a blind cell, as in the undeclared-effects file, with their strengths (inf for a mistake)."""
-
-    kind: str
-    effects: tuple[Effect, ...]
-    strengths: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class BlindCell:
-    """One cell: the arm, its plant with the effects built in, the visits of the first recording, the truth."""
-
-    seed: int
-    arm: DrawnArm
-    plant: Plant
-    protocol: Protocol
-    visits: tuple[PlannedVisit, ...]
-    truth: Truth
-
-    def measure(self, visits: Sequence[PlannedVisit], stream: int = 0) -> dict[str, NDArray[Any]]:
-        """Return the measured rows of pose visits; `stream` selects an independent noise sequence per recording."""
-        rng = np.random.default_rng([self.seed, 7, stream])
-        return measure(self.arm.chain, self.plant, visits, self.arm.loads, self.protocol, rng)
-
-    def poses(self, count: int, stream: int) -> Array:
-        """Return further poses (count, 6) that are informative about load and links; `stream` as `measure`."""
-        rng = np.random.default_rng([self.seed, stream])
-        return choose_poses(self.arm.chain, self.arm.floor_nm, self.arm.prior_std, count, rng)
-
-    def later(self, poses_rad: Array, first_pose: int, start_s: float) -> tuple[PlannedVisit, ...]:
-        """Further visits with the load on, one after the other."""
-        return tuple(
-            PlannedVisit(first_pose + k, "tool", start_s + VISIT_S * k, np.asarray(q)) for k, q in enumerate(poses_rad)
-        )
-
-
-def draw_cell(seed: int) -> BlindCell:
-    """Cell of one seed: arm, effects, and rest poses, bare and then with the load."""
-    rng = np.random.default_rng([seed, 1])
-    arm = draw_arm(rng)
-    poses = choose_poses(arm.chain, arm.floor_nm, arm.prior_std, POSES, rng)
-    visits = planned(poses, {"none": 0.0, "tool": LOADED_S}, VISIT_S)
-    truth, protocol = _draw_truth(arm, visits, rng)
-    in_plant = [effect for effect in truth.effects if effect["name"] != "position_friction"]
-    plant = apply_effects(arm.plant, in_plant, point_jacobian(arm.chain))
-    return BlindCell(seed, arm, plant, protocol, tuple(visits), truth)
 
 
 def planned(poses_rad: Array, starts_s: Mapping[str, float], visit_s: float) -> list[PlannedVisit]:
@@ -89,27 +36,6 @@ def planned(poses_rad: Array, starts_s: Mapping[str, float], visit_s: float) -> 
         for load, start_s in starts_s.items()
         for pose, q in enumerate(poses_rad)
     ]
-
-
-def _draw_truth(arm: DrawnArm, visits: list[PlannedVisit], rng: np.random.Generator) -> tuple[Truth, Protocol]:
-    lot = rng.random()
-    if lot < MIX["clean"]:
-        return Truth("clean", (), ()), arm.protocol
-    two, off = lot < MIX["clean"] + MIX["two"], lot > 1.0 - MIX["off"]
-    makers = OFF_MAKERS if off else MAKERS
-    names = [name for name in makers if applies(name, arm, two)]
-    chosen = [names[k] for k in rng.permutation(len(names))[: 2 if two else 1]]
-    effects, strengths, protocol = [], [], arm.protocol
-    for name in chosen:
-        wanted = wanted_strength(rng)
-        if name == "position_friction":
-            protocol, strength = _position_friction(arm, wanted, rng)
-            effects.append({"name": name, "joints": [], "parameters": {}})
-        else:
-            effect, strength = scaled(arm, visits, makers[name], wanted, rng)
-            effects.append(effect)
-        strengths.append(strength)
-    return Truth("two" if two else "off" if off else "one", tuple(effects), tuple(strengths)), protocol
 
 
 def wanted_strength(rng: np.random.Generator) -> float:
@@ -159,16 +85,11 @@ def closest(
     return best
 
 
-def strength_beyond(arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str, object]) -> float:
-    """Strength of one effect beyond gains and biases too; infinite for a mistake of commissioning."""
-    return float("inf") if effect["name"] in MISTAKES else strength(arm, visits, effect, GAIN_STD, BIAS_SHARE)
-
-
 def strength(
     arm: DrawnArm,
     visits: Sequence[PlannedVisit],
     effect: Mapping[str, object],
-    gain_std: float = 0.0,
+    gain_std: float | Array = 0.0,
     bias_share: float = 0.0,
 ) -> float:
     """Projected strength of one effect over the noise floor, as the module text defines it.
@@ -214,18 +135,3 @@ def _halves(columns: Mapping[str, NDArray[Any]], efficiency: Array) -> tuple[Arr
         motor = columns["tau_nm"][side]
         sides.append(np.where(motor * direction > 0, motor * efficiency, motor / efficiency))
     return (sides[0] + sides[1]) / 2.0, (sides[0] - sides[1]) / 2.0
-
-
-def _position_friction(arm: DrawnArm, wanted: float, rng: np.random.Generator) -> tuple[Protocol, float]:
-    """Friction of one axis that changes once per turn; its swing is what the half differences show."""
-    axis = int(rng.integers(1, 6))
-    swing = min(0.9, wanted * float(arm.floor_nm[axis]) / max(float(arm.plant.coulomb_nm[axis]), 1e-9) * np.sqrt(2.0))
-    phase = rng.uniform(0, 2 * np.pi)
-
-    def factor(q_rad: Array) -> Array:
-        out = np.ones(6)
-        out[axis] += swing * np.cos(q_rad[axis] + phase)
-        return out
-
-    reached = swing / np.sqrt(2.0) * float(arm.plant.coulomb_nm[axis] / arm.floor_nm[axis])
-    return replace(arm.protocol, band_factor=factor), reached

@@ -56,7 +56,7 @@ def draw_undeclared(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload], se
     count = 0 if lot < NONE else 2 if lot > 1.0 - TWO else 1
     if count == 0:
         return []
-    drawn = _as_drawn(arm, plant, loads)
+    drawn = as_drawn(arm, plant, loads)
     starts_s = {"none": 0.0} | ({TOOL: LOADED_S} if drawn.loads else {})
     visits = planned(choose_poses(drawn.chain, drawn.floor_nm, drawn.prior_std, POSES, rng), starts_s, VISIT_S)
     names = [name for name in MAKERS if applies(name, drawn, two=count > 1)]
@@ -70,8 +70,8 @@ def draw_undeclared(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload], se
     return effects
 
 
-def _as_drawn(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload]) -> DrawnArm:
-    """The arm of a cell file in the form of a drawn one."""
+def as_drawn(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload]) -> DrawnArm:
+    """Return the arm of a cell file in the form of a drawn one, with the first of the loads."""
     low, high = np.array([axis.position_limit_rad for axis in arm.axes]).T
     rated = np.array([axis.torque_limit_nm for axis in arm.axes]) / OVERLOAD
     # the friction of each motion scatters about its band: the spread of a uniform loss on [0, settle]

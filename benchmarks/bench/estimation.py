@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
+from benchmarks.blind.drawn_arm import draw_arm
 from benchmarks.figure import figure
 from gateway.acquire.poses import choose_poses
 from gateway.cell.config import load_cell
@@ -26,8 +27,8 @@ from gateway.model.arm_model import arm_robot
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.motion.assumed import assumed_noise_nm
 from gateway.motion.workspace import workspace_of
-from sim import draw
 from sim.cellfile import read_cell
+from sim.draw import choose_poses as informative_poses
 from sim.nominal import plant_of
 from sim.offline import PlannedVisit, Protocol, measure
 from sim.plant import Payload
@@ -113,9 +114,9 @@ class _GaussianCase:
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng([seed, STREAM])
-        arm = draw.draw_arm(self.rng)
+        arm = draw_arm(self.rng)
         self.robot: Robot = robot_from_urdf(arm.urdf, "drawn.urdf")
-        poses = draw.choose_poses(arm.chain, arm.floor_nm, arm.prior_std, POSES, self.rng)
+        poses = informative_poses(arm.chain, arm.floor_nm, arm.prior_std, POSES, self.rng)
         tool = arm.loads["tool"]
         self.truth = np.concatenate([[tool.mass_kg], tool.com_m])
         self.std = arm.floor_nm * np.sqrt(2.0)  # of one side
@@ -167,8 +168,8 @@ def _stiction() -> dict[str, dict]:
     inside = []
     for seed in range(STICTION_TABLES):
         rng = np.random.default_rng([seed, STREAM, 1])
-        arm = draw.draw_arm(rng)
-        poses = draw.choose_poses(arm.chain, arm.floor_nm, arm.prior_std, POSES, rng)
+        arm = draw_arm(rng)
+        poses = informative_poses(arm.chain, arm.floor_nm, arm.prior_std, POSES, rng)
         columns = measure(arm.chain, arm.plant, _visits(poses), arm.loads, arm.protocol, rng)
         options = Knowledge(link_std=0.05, efficiency=tuple(arm.efficiency.tolist()), gain_std=EXACT)
         found = _joint(table_of(columns), robot_from_urdf(arm.urdf, "drawn.urdf"), options)

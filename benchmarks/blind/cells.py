@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from benchmarks.blind.drawn_arm import VISIT_S
+from benchmarks.blind.drawn_cell import BlindCell, draw_cell, strength_beyond
 from gateway.data.table import Table
 from gateway.diagnose import close_loop, diagnose
 from gateway.diagnose.rest.rest_mistakes import Mistake
@@ -21,8 +23,7 @@ from gateway.model.effects import terms_at_rest
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.visits import pair_visits
 from gateway.result.result import LoadResult, Result
-from sim.blind import LEAST_STRENGTH, BlindCell, draw_cell, strength_beyond
-from sim.draw import VISIT_S
+from sim.blind import LEAST_STRENGTH
 from sim.offline import PlannedVisit
 from tests.support.rigs.tables import simulated_table
 

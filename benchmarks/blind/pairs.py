@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.blind.drawn_arm import VISIT_S, draw_arm
 from gateway.diagnose.rest.screen import columns_of
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.rest.hypothesis_fit import fit
@@ -28,7 +29,7 @@ from gateway.model.effects import terms_at_rest
 from gateway.model.robot import robot_from_urdf
 from gateway.model.term import Label, Term
 from gateway.model.visits import pair_visits
-from sim.draw import VISIT_S, DrawnArm, draw_arm
+from sim.draw import DrawnArm
 from sim.offline import PlannedVisit, measure
 from tests.support.rigs.tables import simulated_table
 

@@ -57,6 +57,10 @@ def figures(answers: list[dict], names: list[str]) -> dict[str, dict]:
         out[f"{name}: rms error over the stated deviation, largest"] = figure(
             float(np.sqrt(np.mean(z**2, axis=0)).max()) if len(z) else np.inf, "<= 1.4"
         )
+        if cells and "apart_kg" in cells[0]:
+            joint, apart = (np.median([abs(cell[key]) for cell in cells]) for key in ("error_kg", "apart_kg"))
+            entry = figure(float(joint / apart))
+            out[f"{name}: median error of the mass over that of the difference of two results"] = entry
         printed = {
             "median standard deviation of the mass [%]": 100.0 * float(np.median(std[:, 0])) if len(z) else np.nan,
             "p of uniform ranks, mass": float(kstest(norm.cdf(z[:, 0]), "uniform").pvalue) if len(z) else np.nan,

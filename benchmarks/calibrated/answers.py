@@ -22,6 +22,7 @@ from benchmarks.calibrated.nature import (
     stated_urdf,
 )
 from benchmarks.calibrated.next_load import next_load
+from benchmarks.calibrated.part import workpiece
 from gateway.errors import GatewayError
 from gateway.estimate import run
 from gateway.identify.knowledge import Knowledge
@@ -34,12 +35,17 @@ def answer_of(task: tuple[int, str]) -> dict:
     Returns
     -------
     dict
-        `refused`: why there is no estimate, else ""; `z`: (4,) of mass and centre, `std`: (4,), `warnings`: keys.
+        `refused`: why there is no estimate, else ""; `z`: (4,) of mass and centre, `std`: (4,), `warnings`: keys. Of a
+        part also `error_kg`, and `apart_kg` of the difference of two results.
     """
     seed, name = task
     condition = CONDITIONS[name]
     if condition.kind == "next load":
         return {"seed": seed, "condition": name} | _deviation(*next_load(seed, condition.poses, condition.gain_std))
+    if condition.kind.startswith("part"):
+        true, load, apart_kg = workpiece(seed, condition.kind, condition.poses, condition.gain_std)
+        errors = {"error_kg": load["mass_kg"] - true[0], "apart_kg": apart_kg}
+        return {"seed": seed, "condition": name} | errors | _deviation(true, load, [])
     cell = draw(seed, condition.gain_std)
     q_rad, motion = poses(cell, condition.poses), excitation(cell)
     place_nm = place_torques(cell, condition.poses, condition.repeats) + missing_torque(cell, condition.missing, q_rad)

@@ -13,7 +13,8 @@ class Condition:
     ----------
     unloaded, loaded : number of recordings; `paired` puts one of each under one name
     gain_std : relative standard deviation of the torque constants, true and stated
-    kind : "rest", "motion" or "both"; "next load" at rest, with constants that `calibrate` has measured
+    kind : "rest", "motion" or "both"; "next load" at rest, with constants that `calibrate` has measured; "part" at
+        rest and "part in motion": a workpiece as the difference of two loads
     method : of `servo-gateway estimate`
     repeats : visits of every pose
     paired : whether the k-th recordings of both loads have one name
@@ -46,5 +47,8 @@ CONDITIONS = {
     "constants 3 %, cables on J4 and J5": Condition(gain_std=0.03, missing="cables"),
     "constants 3 %, spring on J2": Condition(gain_std=0.03, missing="spring"),
     "constants 3 %, no name on J2 and J3": Condition(gain_std=0.03, missing="unnamed"),
+    "gripper and part": Condition(kind="part"),
+    "gripper and part, constants 3 %": Condition(kind="part", gain_std=0.03),
+    "gripper and part in motion": Condition(kind="part in motion"),
     "calibration and next load": Condition(kind="next load", gain_std=0.03),
 }

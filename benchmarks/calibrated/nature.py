@@ -42,7 +42,7 @@ class CalibratedArm:
     Attributes
     ----------
     arm : links as they are and as the URDF states them
-    load : (4,) mass [kg] and centre [m] in the last link
+    load : (4,) mass [kg] and centre [m] in the last link, or (k, 4) of several bodies
     gain : (6,) error of the torque constants
     gravity_nm, band_nm, viscous_nm_s_rad, rotor_kg_m2, offset_nm, loss : (6,), the first as root mean square
     """
@@ -276,7 +276,7 @@ def stated_urdf(cell: CalibratedArm) -> str:
 def _model(urdf: str, load: Floats | None):
     model = pinocchio.buildModelFromXML(urdf)
     model.gravity.linear = np.array([0.0, 0.0, -GRAVITY_M_S2])
-    if load is not None:
-        inertia = load[0] * (0.3 * np.linalg.norm(load[1:]) + 0.02) ** 2 * np.eye(3)
-        model.inertias[AXES] = model.inertias[AXES] + pinocchio.Inertia(float(load[0]), load[1:], inertia)
+    for body in () if load is None else np.atleast_2d(load):
+        inertia = body[0] * (0.3 * np.linalg.norm(body[1:]) + 0.02) ** 2 * np.eye(3)
+        model.inertias[AXES] = model.inertias[AXES] + pinocchio.Inertia(float(body[0]), body[1:], inertia)
     return model

@@ -12,9 +12,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from benchmarks.blind.cells import knowledge_of
+from benchmarks.blind.drawn_arm import LOADED_S, VISIT_S, draw_arm
 from gateway.diagnose import diagnose
 from gateway.model.robot import robot_from_urdf
-from sim.draw import LOADED_S, VISIT_S, choose_poses, draw_arm
+from sim.draw import choose_poses
 from sim.effects import apply_effects
 from sim.offline import PlannedVisit, measure, point_jacobian
 from tests.support.rigs.tables import simulated_table

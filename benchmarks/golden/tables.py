@@ -12,6 +12,8 @@ import pinocchio  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
 from benchmarks.blind.cells import knowledge_of as blind_knowledge
+from benchmarks.blind.drawn_arm import LOADED_S, VISIT_S
+from benchmarks.blind.drawn_cell import draw_cell
 from benchmarks.blind.mechanisms import MECHANISMS
 from benchmarks.blind.nature import knowledge_of
 from benchmarks.blind.strict import There, there
@@ -25,8 +27,7 @@ from gateway.data.table import Table
 from gateway.estimate import estimate
 from gateway.identify.knowledge import Knowledge
 from gateway.model.robot import Robot, robot_from_urdf
-from sim import blind
-from sim.draw import LOADED_S, VISIT_S, draw_load
+from sim.draw import draw_load
 from sim.offline import PlannedVisit, measure
 from sim.plant import Payload
 from tests.data.arms import peer_of, urdf_of
@@ -73,7 +74,7 @@ def _parameters(load: Payload) -> Floats:
 
 def _drawn(seed: int) -> Case:
     """Rest poses from both sides, bare and loaded; one or two effects in half of the arms."""
-    cell = blind.draw_cell(seed)
+    cell = draw_cell(seed)
     robot = robot_from_urdf(cell.arm.urdf, f"seed {seed}")
     table = simulated_table(cell.measure(cell.visits))
     pairs = zip(cell.truth.effects, cell.truth.strengths, strict=True)
@@ -95,7 +96,7 @@ def _one_sided(seed: int) -> Case:
 
 def _several(seed: int) -> Case:
     """An unloaded arm and two loads, no effect."""
-    cell = blind.draw_cell(seed)
+    cell = draw_cell(seed)
     rng = np.random.default_rng([seed, 6])
     arm = cell.arm
     tool = arm.loads["tool"]

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.blind.drawn_arm import arm_geometry, rated_torque_nm
 from benchmarks.nature.gear_friction import Friction, draw_friction
 from benchmarks.nature.levels import Harshness
-from sim.draw import GRAVITY, arm_geometry, draw_load, rated_torque_nm
+from sim.draw import GRAVITY, draw_load
 from sim.plant import Payload
 from sim.urdf import SimBody, SimChain, combine, write_chain
 

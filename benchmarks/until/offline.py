@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.blind.drawn_arm import draw_arm
 from gateway.acquire.until_goal import Goal, best_first, half_widths, judge
 from gateway.data.table import Table, concatenate
 from gateway.estimate.estimate import Estimate
@@ -20,7 +21,7 @@ from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import Visits, pair_visits
-from sim.draw import DrawnArm, choose_poses, draw_arm
+from sim.draw import DrawnArm, choose_poses
 from sim.offline import PlannedVisit, measure
 from sim.plant import Plant
 from tests.support.rigs.tables import simulated_table

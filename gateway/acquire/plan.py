@@ -7,7 +7,8 @@ negative), then from the negative offset (last motion positive). After each appr
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -105,6 +106,8 @@ class Plan:
     steps : tuple of Step
     duration_s : float
     expectation : Expectation or None
+    distinguish : mapping
+        Effects that the poses were chosen for, with their expected strengths; empty if none was named.
     """
 
     arm: str
@@ -114,6 +117,7 @@ class Plan:
     steps: tuple[Step, ...]
     duration_s: float
     expectation: Expectation | None = None
+    distinguish: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def visits(self) -> tuple[tuple[int, int], ...]:

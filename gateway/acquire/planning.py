@@ -95,7 +95,7 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
         plan, unreachable = plan_poses(config.name, workspace, chosen, visit_settings(loaded, config), joined)
         if not unreachable:
             check_plan(plan, workspace)
-            return _expected(plan, loaded, config, workspace)
+            return with_expectation(plan, loaded, config, workspace)
         joined = np.vstack([joined, plan.corners_rad])
     raise PlanRefused(
         f"arm '{config.name}': no path within the limits connects the chosen poses; narrow the joint limits to the"
@@ -112,7 +112,7 @@ def plan_of_poses(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, p
     PlanRefused
         A pose is not feasible or not reachable, or the poses do not determine mass and centre of gravity.
     """
-    return _expected(plan_of_any(loaded, config, workspace, poses), loaded, config, workspace)
+    return with_expectation(plan_of_any(loaded, config, workspace, poses), loaded, config, workspace)
 
 
 def plan_of_any(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
@@ -149,7 +149,8 @@ def visit_settings(loaded: LoadedCell, config: ArmConfig) -> VisitSettings:
     )
 
 
-def _expected(plan: Plan, loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> Plan:
+def with_expectation(plan: Plan, loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> Plan:
+    """Return the plan with the expected standard deviations of a load."""
     if workspace.robot.axes == 1:
         return plan  # the torque of one axis determines two of the four parameters of a load: no mass is expected
     noise_nm = assumed_noise_nm(workspace)

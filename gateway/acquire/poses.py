@@ -20,6 +20,9 @@ from gateway.errors import InputError, PlanRefused
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.motion.workspace import Workspace
 
+#: Weighted columns (n, rows, p) of every candidate, and weight of their log determinant.
+Designs = tuple[tuple[np.ndarray, float], ...]
+
 CANDIDATES = 1500
 DRAWS = 60
 DISTANCE_RAD = 0.3
@@ -78,7 +81,9 @@ def choose_poses(
                 " column_radius_m, link_radius_m, load_size_m)"
             )
         candidates = joined
-    chosen = _d_optimal(workspace, candidates, count, noise_nm)
+    rows = gravity_regressor(workspace.robot, candidates, workspace.gravity_m_s2) / noise_nm[:, None]
+    links = rows * (1.0 / np.maximum(np.abs(rows).max(axis=(0, 1)), 1e-12))
+    chosen = d_optimal(((links[:, :, LOAD_COLUMNS], 1.0), (links, LINK_WEIGHT)), candidates, count)
     taken = list(chosen)  # validation poses: in drawing order, each at the required distance from all others
     for row, q_rad in enumerate(candidates):
         if len(taken) < needed and np.abs(candidates[taken] - q_rad).max(axis=1).min() >= DISTANCE_RAD:
@@ -129,10 +134,16 @@ def can_be_measured(workspace: Workspace, approach_offset_rad: float, q_rad: np.
     return good
 
 
-def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_nm: np.ndarray) -> list[int]:
-    rows = gravity_regressor(workspace.robot, candidates, workspace.gravity_m_s2) / noise_nm[:, None]
-    links = rows * (1.0 / np.maximum(np.abs(rows).max(axis=(0, 1)), 1e-12))
-    designs = ((links[:, :, LOAD_COLUMNS], 1.0), (links, LINK_WEIGHT))
+def d_optimal(designs: tuple[tuple[np.ndarray, float], ...], candidates: np.ndarray, count: int) -> list[int]:
+    """Return the rows of `count` postures with the largest weighted log determinants of their information.
+
+    Parameters
+    ----------
+    designs : tuple of (array of shape (n, rows, p), weight)
+        Weighted columns of every candidate.
+    candidates : array of shape (n, N)
+    count : int
+    """
     span = np.zeros((len(candidates), len(candidates)), dtype=np.float32)
     for joint in candidates.T.astype(np.float32):
         np.maximum(span, np.abs(joint[:, None] - joint), out=span)
@@ -154,7 +165,7 @@ def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_n
     return chosen
 
 
-def _gain(designs: tuple[tuple[np.ndarray, float], ...], chosen: list[int]) -> np.ndarray:
+def _gain(designs: Designs, chosen: list[int]) -> np.ndarray:
     """Return the growth (n,) of the weighted log determinants when a posture is added (matrix determinant lemma)."""
     total = np.zeros(len(designs[0][0]))
     for rows, weight in designs:

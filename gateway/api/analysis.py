@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from gateway.pipeline.inputs import (
     read_rows,
     split_validation,
 )
+from gateway.result.data_roles import FIT, HELD_ROLE, refuse_used, roles_of, used_rows
 from gateway.result.result import Result
 
 #: One file, or several: recordings (`.h5`) and measured tables (`.csv`).
@@ -115,7 +117,7 @@ def diagnose(
     InputError, ConfigError
         A file, a statement or the name of an effect that cannot be used.
     DataUnusable
-        Too few rows to fit, or none to hold out.
+        Too few rows to fit, or none to hold out, or `holdout` holds rows of `data`.
     """
     paths, unseen_paths, names = _paths(data), _paths(holdout), (frozenset(only), frozenset(without))
     for name in sorted(frozenset.union(*names) - set(LIBRARY)):
@@ -129,16 +131,29 @@ def diagnose(
 def estimated(about: AnalysisInputs, table: Table, method: str, coefficient: Coefficient | None = None) -> Result:
     """Return the estimate of all loads in the rows of a table."""
     choice = postures(about)
-    return _estimate(table, about.robot, about.knowledge, method, coefficient=coefficient, pose_choice=choice)
+    result = _estimate(table, about.robot, about.knowledge, method, coefficient=coefficient, pose_choice=choice)
+    return replace(result, data_roles=roles_of(table, earlier=about.bare_roles))
 
 
 def diagnosed(
     about: AnalysisInputs, table: Table, holdout: Sequence[Path], only: frozenset[str], without: frozenset[str]
 ) -> Result:
-    """Return the diagnosis of the rows of a table, judged on the files `holdout` or on visits of validation poses."""
+    """Return the diagnosis of the rows of a table, judged on the files `holdout` or on visits of validation poses.
+
+    Raises
+    ------
+    DataUnusable
+        As `diagnose`, or rows of the hold-out are in the table too, under any label or pose number.
+    """
     seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
+    if unseen is not None and unseen.axes == seen.axes:
+        fitted = roles_of(seen, earlier=about.bare_roles, most_moving=len(seen))
+        refuse_used(unseen, used_rows(unseen, fitted, (FIT,)), f"the fit of {', '.join(dict.fromkeys(seen.file))}")
     choice = partial(postures, about)
-    return _diagnose(seen, about.model, about.knowledge, holdout=unseen, only=only, without=without, pose_choice=choice)
+    result = _diagnose(
+        seen, about.model, about.knowledge, holdout=unseen, only=only, without=without, pose_choice=choice
+    )
+    return replace(result, data_roles=roles_of(seen, unseen, result.provenance.get(HELD_ROLE), about.bare_roles))
 
 
 def postures(about: AnalysisInputs) -> NDArray[np.float64] | None:

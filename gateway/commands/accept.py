@@ -46,7 +46,7 @@ _RECORDING: Final = "accept.h5"
     required=True,
     metavar="RESULT.json",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Result of this arm that holds the load as it was entered, and the unloaded arm.",
+    help="Result of this arm, or CELL.loads.json#LABEL: the load as entered, and the unloaded arm.",
 )
 @click.option("--label", metavar="LABEL", help="Load of the result, if it holds several.")
 @click.option(
@@ -191,6 +191,8 @@ def _hand_over(answer: Mapping[str, Any], json_out: str | None, report: Path | N
     rows.append(["tolerance", *(significant(value) for value in answer["tolerance_nm"]), "", ""])
     names = ["pose", *axis_names(len(answer["tolerance_nm"])), "flange [N]", "flange [Nm]"]
     session.show(grid("residual torque with the load entered [Nm]", names, rows, left=1))
+    if count := answer["visits_that_judged_before"]:
+        session.note(f"{count} of the visits judged the diagnosis of this result before; they are in no fit")
     session.show(f"load {answer['load']}: {outcome}; {why}")
     if outcome != "pass":
         raise FindingFailed(f"load '{answer['load']}' over the workspace: {outcome}; {why}")

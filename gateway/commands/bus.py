@@ -81,7 +81,10 @@ def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
 def _node_row(node: ScanResult) -> list[str]:
     who = node.identity
     name = f"{who.node_id}" + (f" ({node.devices} devices)" if node.devices > 1 else "")
-    numbers = [_hex(value) for value in (who.vendor_id, who.product_code, who.revision, who.serial_number)]
+    numbers = [
+        "-" if value is None else f"0x{value:X}"
+        for value in (who.vendor_id, who.product_code, who.revision, who.serial_number)
+    ]
     state = "" if node.state is None else str(node.state)
     return [name, who.name or "", *numbers, who.software_version or "", state, ", ".join(node.profiles)]
 
@@ -95,10 +98,6 @@ def _node_json(node: ScanResult) -> dict[str, Any]:
         "unread": node.unread,
     }
     return asdict(node.identity) | found
-
-
-def _hex(value: int | None) -> str:
-    return "-" if value is None else f"0x{value:X}"
 
 
 @click.command()

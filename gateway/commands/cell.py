@@ -61,9 +61,10 @@ def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
     """Draw the arm at its named postures with the keep-out boxes, and list the assumptions. Needs no bus."""
     from gateway.cell.config import load_cell
     from gateway.commands.pages import write_page
-    from gateway.commands.plan_view import space_in_words, view_of_cell
+    from gateway.commands.plan_view import LOAD_COLUMNS, loads_in_words, space_in_words, view_of_cell
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.motion.workspace import workspace_of
+    from gateway.result.library import library_of
 
     loaded = load_cell(cell)
     config = arm_named(loaded, arm_name)
@@ -72,8 +73,11 @@ def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
     workspace = workspace_of(config, robot)
     target, session = output or cell.with_suffix(".html"), session_of()
     refuse_to_replace(target, "-o", session)
-    write_page(target, view_of_cell(config, workspace))
+    loads = loads_in_words(cell)
+    write_page(target, view_of_cell(config, workspace, loads))
     session.show("\n  ".join([f"arm '{config.name}': {target}", *space_in_words(workspace)]))
+    if loads:
+        session.show(grid(f"loads in {library_of(cell)}: value ± half of the 95 % interval", LOAD_COLUMNS, loads))
 
 
 @cell.command("new")

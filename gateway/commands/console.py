@@ -125,7 +125,10 @@ class Session:
 
     @contextmanager
     def progress(self, total: float, text: str) -> Generator[Bar]:
-        """Show progress with remaining time on stderr: a bar on a terminal, otherwise a line every 10 %."""
+        """Show progress with remaining time on stderr: a bar on a terminal, otherwise a line every 10 %.
+
+        `total` is the duration of a motion [s]; 0 where nothing moves.
+        """
         console = self.console(err=True)
         if self.verbosity < 0:
             yield Bar()
@@ -171,7 +174,8 @@ class LineBar(Bar):
     def __init__(self, session: Session, text: str, total: float) -> None:
         self._session, self._text, self._tenth = session, text, 0
         self._began_s = time.monotonic()
-        session.note(f"{text}: about {total:.0f} s of motion")
+        if total > 0:
+            session.note(f"{text}: about {total:.0f} s of motion")
 
     def set(self, done: float, total: float, what: str) -> None:
         """Print a line when another 10 % is done."""

@@ -34,7 +34,7 @@ SAME_SHARE = 0.005
 @click.command()
 @cell_argument
 @click.option(
-    "--load", "load_file", required=True, metavar="RESULT.json", type=FILE, help="Result that holds the load."
+    "--load", "load_file", required=True, metavar="RESULT.json", type=FILE, help="Result, or CELL.loads.json#LABEL."
 )
 @click.option("--label", metavar="LABEL", help="Load to use, if the result has several.")
 @click.option(
@@ -93,16 +93,13 @@ def _show(found: LoadCost, session: Session) -> None:
                 cells.append(number(100 * setting.load_acceleration_reserve, 1))
             rows.append([move.name, setting.name, number(setting.cycle_time_s), *cells])
     session.show(grid(title, columns, rows, left=2))
+    names = [setting.name for setting in found.moves[0].settings]
     segments = [row for move in found.moves for row in _segment_rows(move)]
-    session.show(grid("segments: duration and limit", ["path", "segment", *_names(found)], segments[:MOST_LISTED]))
+    session.show(grid("segments: duration and limit", ["path", "segment", *names], segments[:MOST_LISTED]))
     for move in found.moves:
         session.show(_answer(move))
     for remark in found.remarks:
         session.note(remark)
-
-
-def _names(found: LoadCost) -> list[str]:
-    return [setting.name for setting in found.moves[0].settings]
 
 
 def _segment_rows(move: MoveCost) -> list[list[str]]:

@@ -43,7 +43,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 @click.option(
     "--path", "path_file", required=True, metavar="FILE", type=FILE, help="Path file: joint waypoints or timed points."
 )
-@click.option("--load", "load_file", metavar="RESULT.json", type=FILE, help="Identified load: result file of estimate.")
+@click.option("--load", "load_file", metavar="RESULT.json", type=FILE, help="Result, or CELL.loads.json#LABEL.")
 @click.option("--label", metavar="LABEL", help="Load to use, if the result has several.")
 @click.option(
     "--identified",
@@ -90,6 +90,7 @@ def follow(
     from gateway.jobs.frame import begin_motion
     from gateway.model.arm_model import arm_named
     from gateway.report.follow_page import render_follow
+    from gateway.result.library import result_file
     from gateway.result.origin import Origin, drives_of, files_of, in_words, software
     from gateway.result.values import plain_values
 
@@ -110,7 +111,7 @@ def follow(
                 opened.arm, *parts, lambda what, done: bar.set(done, prepared.duration_s, what), options, pacing
             )
     used = None if arm.identified is None else context.loaded.path(arm.identified)
-    files = files_of(file for file in (cell, path_file, load_file, used) if file is not None)
+    files = files_of(file for file in (cell, path_file, load_file and result_file(load_file)[0], used) if file)
     origin = Origin(in_words(datetime.now(UTC)), software(), drives_of(identities), files, operator)
     result = replace(result_of(prepared, tracks), origin=origin)
     if json_out:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,62 +13,125 @@ from gateway.commands.measure import arm_option
 from gateway.commands.replay import archive_option, store
 from gateway.commands.result_output import fail_on_findings, show_result, write_junit
 from gateway.commands.shared_options import (
+    Function,
     accept_options,
     common,
     data_argument,
+    effect_names,
     json_option,
     known_loads,
     model_options,
     note_remarks,
+    one_of,
     operator_option,
     session_of,
     write_json,
 )
 
 if TYPE_CHECKING:
-    from gateway.pipeline.inputs import ModelRequest
+    from gateway.data.table import Table
+    from gateway.pipeline.inputs import AnalysisInputs
     from gateway.result.acceptance import Expected
     from gateway.result.result import Result
 
 
-def model_request(
+def analysis_options(function: Function) -> Function:
+    """Add what `estimate` and `diagnose` have in common: DATA, MODEL, parts, acceptance, and the files to write."""
+    for option in (
+        common,
+        json_option,
+        archive_option,
+        operator_option,
+        accept_options,
+        arm_option,
+        click.option(
+            "--save",
+            is_flag=True,
+            help="Save the loads in CELL.loads.json beside the cell file, unless a finding fails.",
+        ),
+        click.option(
+            "--part",
+            "parts",
+            multiple=True,
+            metavar="NAME=BOTH,GRIPPER",
+            help="Load NAME as the difference of two loads.",
+        ),
+        model_options,
+        data_argument,
+    ):
+        function = option(function)
+    return function
+
+
+def _analysed(
+    analyse: Callable[[AnalysisInputs, Table], Result],
+    holdout: tuple[Path, ...],
+    *,
+    data: tuple[Path, ...],
     robot: Path | None,
+    tip: str | None,
     cell_file: Path | None,
     inertials: str | None,
     known: tuple[str, ...],
+    parts: tuple[str, ...],
+    save: bool,
     bare: Path | None,
-    arm_name: str | None,
     torque_gain: str | None,
-    tip: str | None,
     is_warm: bool,
-) -> ModelRequest:
-    """Return the options of MODEL as one value."""
+    arm_name: str | None,
+    expected: tuple[Expected, ...],
+    junit_file: Path | None,
+    operator: str | None,
+    archive: Path | None,
+    json_out: str | None,
+) -> None:
+    """Read the data, analyse them, write and show the result; exit with code 7 on a failing finding."""
     from gateway.identify.nuisance import parse_torque_gain
-    from gateway.pipeline.inputs import ModelRequest
+    from gateway.pipeline.accept import accept, check_against_data
+    from gateway.pipeline.finalize import finalize
+    from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
+    from gateway.pipeline.saved_loads import save_loads
+    from gateway.result.result import to_dict
 
+    if save and (cell_file is None or json_out in (None, "-")):
+        raise click.UsageError("--save needs --cell CELL and --json OUT.json: the library beside CELL names OUT.json")
     gain_std = None if torque_gain is None else parse_torque_gain(torque_gain)
-    return ModelRequest(robot, cell_file, inertials, known_loads(known), bare, arm_name, gain_std, tip, is_warm)
-
-
-def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
-    """Return the name of an estimator; any other name is a usage error."""
-    from gateway.estimate import METHODS
-
-    if value not in METHODS:
-        raise click.BadParameter(f"'{value}' is not a method; choose one of {', '.join(METHODS)}")
-    return value
+    differences: dict[str, tuple[str, str]] = {}
+    for text in parts:
+        name, _, pair = text.partition("=")
+        labels = [label.strip() for label in (name, *pair.split(","))]
+        if len(labels) != 3 or not all(labels):
+            raise click.UsageError(f"--part {text}: write NAME=BOTH,GRIPPER, as --part bolt=gripper-and-bolt,gripper")
+        if labels[0] in differences:
+            raise click.UsageError(f"--part {labels[0]} is given twice: give each part once")
+        differences[labels[0]] = (labels[1], labels[2])
+    loads = known_loads(known), differences
+    request = ModelRequest(robot, cell_file, inertials, *loads, bare, arm_name, gain_std, tip, is_warm)
+    about = collect_inputs(request, [*data, *holdout])
+    note_remarks(about.robot)
+    table = read_rows(data, about)
+    check_against_data(expected, [table], about)
+    result = analyse(about, table)
+    result = accept(finalize(result, about, table, [*data, *holdout], operator), expected, about.arm)
+    if json_out:
+        write_json(json_out, to_dict(result))
+    if junit_file is not None:
+        write_junit(junit_file, result)
+    if archive is not None:
+        store(archive, result)
+    show_result(result, session_of())
+    fail_on_findings(result.findings)
+    if save and cell_file is not None and json_out is not None:
+        session_of().show(f"loads: {save_loads(cell_file, result, Path(json_out), session_of().replaces)}")
 
 
 @click.command()
-@data_argument
-@model_options
 @click.option(
     "--method",
-    callback=_method,
-    metavar="METHOD",
+    type=one_of(("joint", "difference", "posture", "coefficient")),
     default="joint",
     show_default=True,
-    help="joint, difference, posture or coefficient.",
+    help="Estimator.",
 )
 @click.option("--axis", type=click.IntRange(1, MOST_AXES), help="coefficient: the axis to use.")
 @click.option(
@@ -83,140 +147,58 @@ def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
     metavar="NM",
     help="coefficient: rated torque of the motor [Nm].",
 )
-@arm_option
-@accept_options
-@operator_option
-@archive_option
-@json_option
-@common
+@analysis_options
 def estimate(
-    data: tuple[Path, ...],
-    robot: Path | None,
-    tip: str | None,
-    cell_file: Path | None,
-    inertials: str | None,
-    known: tuple[str, ...],
-    bare: Path | None,
-    torque_gain: str | None,
-    is_warm: bool,
     method: str,
     axis: int | None,
     lever: str | None,
     gear_ratio: float | None,
     gear_efficiency: float | None,
     rated_torque: float | None,
-    arm_name: str | None,
-    expected: tuple[Expected, ...],
-    junit_file: Path | None,
-    operator: str | None,
-    archive: Path | None,
-    json_out: str | None,
+    **shared: Any,
 ) -> None:
     """Estimate mass and centre of gravity of each unknown load, with 95 % intervals; name what is not identifiable."""
     from gateway.api.analysis import estimated
     from gateway.estimate import Coefficient
-    from gateway.pipeline.accept import accept, check_against_data
-    from gateway.pipeline.finalize import finalize
-    from gateway.pipeline.inputs import collect_inputs, read_rows
 
-    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip, is_warm)
-    about = collect_inputs(request, data)
-    note_remarks(about.robot)
-    table = read_rows(data, about)
-    check_against_data(expected, [table], about)
-    coefficient = None
-    if method == "coefficient":
-        if axis is None or lever is None:
-            raise click.UsageError("--method coefficient needs --axis and --lever")
-        if about.arm is not None:
-            gear_ratio = gear_ratio or about.arm.axis[axis - 1].gear_ratio.value
-            gear_efficiency = gear_efficiency or about.arm.axis[axis - 1].gear_efficiency.value
-        if not gear_ratio or not gear_efficiency:
-            raise click.UsageError("--method coefficient needs --gear-ratio and --gear-efficiency, or --cell CELL")
-        coefficient = Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
-    with session_of().working("estimation"):
-        result = estimated(about, table, method, coefficient)
-    result = accept(finalize(result, about, table, data, operator), expected, about.arm)
-    _hand_over(result, json_out, junit_file, archive)
+    def analyse(about: AnalysisInputs, table: Table) -> Result:
+        coefficient = None
+        if method == "coefficient":
+            if axis is None or lever is None:
+                raise click.UsageError("--method coefficient needs --axis and --lever")
+            stated = None if about.arm is None else about.arm.axis[axis - 1]
+            ratio = gear_ratio or (stated and stated.gear_ratio.value)
+            efficiency = gear_efficiency or (stated and stated.gear_efficiency.value)
+            if not ratio or not efficiency:
+                raise click.UsageError("--method coefficient needs --gear-ratio and --gear-efficiency, or --cell CELL")
+            coefficient = Coefficient(axis, lever, ratio, efficiency, rated_torque)
+        with session_of().working("estimation"):
+            return estimated(about, table, method, coefficient)
 
-
-def _hand_over(result: Result, json_out: str | None, junit_file: Path | None, archive: Path | None) -> None:
-    """Write and show the result; exit with code 7 on a failing finding."""
-    from gateway.result.result import to_dict
-
-    if json_out:
-        write_json(json_out, to_dict(result))
-    if junit_file is not None:
-        write_junit(junit_file, result)
-    if archive is not None:
-        store(archive, result)
-    show_result(result, session_of())
-    fail_on_findings(result.findings)
-
-
-def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> frozenset[str]:
-    """Return effect names from comma-separated text; an unknown one is a usage error."""
-    from gateway.model.effects import LIBRARY
-
-    names = frozenset(part.strip() for part in (value or "").split(",") if part.strip())
-    unknown = sorted(names - set(LIBRARY))
-    if unknown:
-        raise click.BadParameter(f"'{unknown[0]}' is not an effect; choose from {', '.join(sorted(LIBRARY))}")
-    return names
+    if shared["parts"] and method != "joint":
+        raise click.UsageError(f"--part needs --method joint: method {method} fits each load alone")
+    _analysed(analyse, (), **shared)
 
 
 @click.command()
-@data_argument
-@model_options
 @click.option(
     "--holdout",
     multiple=True,
     type=click.Path(path_type=Path, dir_okay=False),
     help="Data for validation only; not used in any fit.",
 )
-@click.option("--only", callback=_names, metavar="EFFECT,..", help="Try only these effects.")
-@click.option("--without", callback=_names, metavar="EFFECT,..", help="Do not try these effects.")
-@arm_option
-@accept_options
-@operator_option
-@archive_option
-@json_option
-@common
-def diagnose(
-    data: tuple[Path, ...],
-    robot: Path | None,
-    tip: str | None,
-    cell_file: Path | None,
-    inertials: str | None,
-    known: tuple[str, ...],
-    bare: Path | None,
-    torque_gain: str | None,
-    is_warm: bool,
-    holdout: tuple[Path, ...],
-    only: frozenset[str],
-    without: frozenset[str],
-    arm_name: str | None,
-    expected: tuple[Expected, ...],
-    junit_file: Path | None,
-    operator: str | None,
-    archive: Path | None,
-    json_out: str | None,
-) -> None:
+@click.option("--only", callback=effect_names, metavar="EFFECT,..", help="Try only these effects.")
+@click.option("--without", callback=effect_names, metavar="EFFECT,..", help="Do not try these effects.")
+@analysis_options
+def diagnose(holdout: tuple[Path, ...], only: frozenset[str], without: frozenset[str], **shared: Any) -> None:
     """Find the effects that the model lacks, validated on data that was not used in the fit.
 
     The verdict is one of: model complete, explained, improved, unexplained, undecided.
     """
     from gateway.api.analysis import diagnosed
-    from gateway.pipeline.accept import accept, check_against_data
-    from gateway.pipeline.finalize import finalize
-    from gateway.pipeline.inputs import collect_inputs, read_rows
 
-    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip, is_warm)
-    about = collect_inputs(request, [*data, *holdout])
-    note_remarks(about.robot)
-    table = read_rows(data, about)
-    check_against_data(expected, [table], about)
-    with session_of().working("diagnosis"):
-        result = diagnosed(about, table, holdout, only, without)
-    result = accept(finalize(result, about, table, [*data, *holdout], operator), expected, about.arm)
-    _hand_over(result, json_out, junit_file, archive)
+    def analyse(about: AnalysisInputs, table: Table) -> Result:
+        with session_of().working("diagnosis"):
+            return diagnosed(about, table, holdout, only, without)
+
+    _analysed(analyse, holdout, **shared)

@@ -18,6 +18,7 @@ from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
     common,
+    effect_names,
     joint_angles,
     json_option,
     known_loads,
@@ -51,6 +52,12 @@ arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm to use,
 @click.option("--poses", "n_poses", type=click.IntRange(min=1), metavar="N", help="Number of poses for the fit.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the random candidates.")
 @output_option("--view", metavar="PAGE.html", help="Write a page that shows poses, paths and keep-out boxes.")
+@click.option(
+    "--distinguish",
+    callback=effect_names,
+    metavar="EFFECT,..",
+    help="Choose rest poses that show these effects and tell them apart, within the same time.",
+)
 @moving_plan_options
 @arm_option
 @json_option
@@ -60,6 +67,7 @@ def plan(
     n_poses: int | None,
     seed: int | None,
     view: Path | None,
+    distinguish: frozenset[str],
     moving: bool,
     purposes: tuple[Purpose, ...],
     period_s: float | None,
@@ -68,6 +76,7 @@ def plan(
     json_out: str | None,
 ) -> None:
     """Choose rest poses or excitation trajectories; show limits, duration and expected uncertainty. Needs no bus."""
+    from gateway.acquire.distinguish import plan_distinguishing
     from gateway.acquire.planning import make_plan
     from gateway.cell.config import load_cell
     from gateway.commands.pages import write_page
@@ -76,11 +85,14 @@ def plan(
     from gateway.excite.planning import MovingRequest, make_moving_plan
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.motion.workspace import workspace_of
+    from gateway.pipeline.inputs import ModelRequest, collect_inputs
 
     if not moving and (purposes or period_s is not None or periods is not None):
         raise click.UsageError("--for, --period and --periods need --moving")
     if moving and n_poses is not None:
         raise click.UsageError("--poses is for rest poses, --moving for trajectories: give one of them")
+    if moving and distinguish:
+        raise click.UsageError("--distinguish is for rest poses, --moving for trajectories: give one of them")
     loaded, session = load_cell(cell), session_of()
     config = arm_named(loaded, arm_name)
     robot = arm_robot(loaded, config)
@@ -96,6 +108,9 @@ def plan(
     else:
         with session.working("reading the arm's geometry, choosing poses and paths"):
             chosen = make_plan(loaded, n_poses, seed, arm_name)
+            if distinguish:
+                inputs = collect_inputs(ModelRequest(cell=cell, arm=arm_name), ())
+                chosen = plan_distinguishing(chosen, loaded, config, inputs, distinguish)
         show_plan(chosen)
         page, body, drawn = partial(view_of_plan, chosen), plan_as_json(chosen), "poses, paths and keep-out boxes"
     workspace = workspace_of(config, robot)
@@ -134,26 +149,27 @@ def show_plan(chosen: Plan) -> None:
             f"mass {expected.mass_std_kg:.3g} kg, centre of gravity {x:.2g} {y:.2g} {z:.2g} mm"
         )
         show_assumed(expected.noise_nm, expected.noise_source, expected.gain_std)
+    if about := chosen.distinguish:
+        before = about["standard_strength"]
+        lines = [[name, f"{before[name]:.3g}", f"{strength:.3g}"] for name, strength in about["strength"].items()]
+        session.show(grid("expected strength over the noise", ["effect", "standard plan", "this plan"], lines))
+        std = (about["standard_expected"] or {}).get("mass_std_kg", math.nan)
+        session.show(f"standard plan: {about['standard_duration_s'] / 60:.1f} min per load, mass {std:.3g} kg")
+        if about["not_shown_by_rest_poses"]:
+            session.note(f"no choice of rest poses shows {', '.join(about['not_shown_by_rest_poses'])}")
 
 
 def plan_as_json(chosen: Plan) -> dict[str, Any]:
     """Return a plan as plain values."""
-    expected = chosen.expectation
+    from gateway.result.values import plain_values
+
     return {
         "schema": 1,
         "arm": chosen.arm,
         "duration_s": chosen.duration_s,
         "poses": [{"pose": pose.number, "purpose": pose.purpose, "q_rad": list(pose.q_rad)} for pose in chosen.poses],
-        "expected": None
-        if expected is None
-        else {
-            "mass_std_kg": expected.mass_std_kg,
-            "com_std_m": list(expected.com_std_m),
-            "reference_load_kg": expected.reference_load_kg,
-            "noise_nm": list(expected.noise_nm),
-            "noise_source": expected.noise_source,
-            "gain_std": list(expected.gain_std),
-        },
+        "expected": plain_values(chosen.expectation),
+        **({"distinguish": chosen.distinguish} if chosen.distinguish else {}),
     }
 
 

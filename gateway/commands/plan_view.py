@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from gateway.result.library import library_of, read_library
+from gateway.result.numerals import with_interval
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
@@ -14,6 +19,8 @@ if TYPE_CHECKING:
     from gateway.motion.workspace import Workspace
 
 
+#: Columns of a table of the loads of a library.
+LOAD_COLUMNS = ("load", "mass [kg]", "centre [mm]", "frame", "date", "result", "certificate")
 #: Number of drawn points per period, and least spacing [s].
 CURVE_POINTS, CURVE_STEP_S = 400, 0.01
 
@@ -27,6 +34,18 @@ def space_in_words(workspace: Workspace) -> list[str]:
     if space.unchecked:
         lines.append(f"not checked, because they touch at all joint angles: {'; '.join(space.unchecked)}")
     return lines
+
+
+def loads_in_words(cell: Path) -> list[list[str]]:
+    """Return a row of texts, as of `LOAD_COLUMNS`, for each load of the library beside a cell file."""
+    path, rows = library_of(cell), []
+    for label, load in (read_library(path) if path.exists() else {}).items():
+        part, frame = ("com_flange", "flange") if load["com_flange_m"] else ("com", load["frame"])
+        pairs: Any = zip(load[f"{part}_m"] or (), load[f"{part}_std_m"] or [None] * 3, strict=False)
+        com = "  ".join("?" if None in pair else with_interval(1e3 * pair[0], 1e3 * pair[1]) for pair in pairs)
+        mass = with_interval(load["mass_kg"], load["mass_std_kg"] or math.nan)
+        rows.append([label, mass, com, frame, *(load[key] or "" for key in ("created", "result", "certificate"))])
+    return rows
 
 
 def view_of_plan(plan: Plan, workspace: Workspace) -> str:
@@ -88,8 +107,8 @@ def view_of_moving_plan(plan: MovingPlan, workspace: Workspace) -> str:
     )
 
 
-def view_of_cell(config: ArmConfig, workspace: Workspace) -> str:
-    """Return an HTML page with the arm at the named postures of the cell and with all joints at zero."""
+def view_of_cell(config: ArmConfig, workspace: Workspace, loads: Sequence[Sequence[str]] = ()) -> str:
+    """Return an HTML page: the arm at the named postures of the cell and at zero, and its loads (`LOAD_COLUMNS`)."""
     from gateway.report.page import Head
     from gateway.report.plan import ARM, scene_page
 
@@ -99,7 +118,8 @@ def view_of_cell(config: ArmConfig, workspace: Workspace) -> str:
     postures = [(name, [(0.0, 0.0, 0.0), *at]) for name, at in zip(known, points, strict=True)]
     head = Head(f"Cell: {config.name}", "The arm and its surroundings", (("arm", config.name),))
     boxes_m = workspace.space.boxes_m.tolist()
-    return scene_page(head, ARM, postures, boxes_m, space_in_words(workspace), heading="Postures")
+    said, table = space_in_words(workspace), [LOAD_COLUMNS, *loads] if loads else ()
+    return scene_page(head, ARM, postures, boxes_m, said, heading="Postures", loads=table)
 
 
 def _points(workspace: Workspace, postures: Sequence[Sequence[float]]) -> np.ndarray:

@@ -106,7 +106,8 @@ def _versions() -> dict[str, str]:
 
 def _files_read(options: Mapping[str, Any]) -> Iterator[tuple[Path, str]]:
     """Every file that the command has read, and how it was typed; empty for one that another file names."""
-    typed = [each for name in sorted(PATHS) for each in _several(options.get(name))]
+    values = [options.get(name) or () for name in sorted(PATHS)]
+    typed: list[Path] = [path for value in values for path in ((value,) if isinstance(value, Path) else value)]
     for path in typed:
         yield path.resolve(), str(path)
     if options.get("cell_file") is not None:
@@ -122,10 +123,6 @@ def _files_read(options: Mapping[str, Any]) -> Iterator[tuple[Path, str]]:
         for real in _files_of(loaded, options["cell_file"]):
             if real not in typed_before:
                 yield real, ""
-
-
-def _several(value: Any) -> tuple[Path, ...]:
-    return (value,) if isinstance(value, Path) else tuple(value or ())
 
 
 def _files_of(loaded: LoadedCell, cell: Path) -> Iterator[Path]:

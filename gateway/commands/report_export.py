@@ -73,7 +73,7 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
 
 
 @click.command()
-@click.argument("result", metavar="OUT.json|RUN.h5", type=RESULT)
+@click.argument("result", metavar="OUT.json|CELL.loads.json|RUN.h5", type=RESULT)
 @click.option(
     "--format",
     "fmt",
@@ -82,10 +82,11 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
     help=f"Output format; for RUN.h5 {', '.join(RECORDING_FORMATS)}.",
 )
 @click.option("--load", "label", metavar="LABEL", help="Export only this load.")
+@click.option("--all", "every", is_flag=True, help="One file with all loads of the library CELL.loads.json.")
 @arm_option
 @output_option("-o", "--output", metavar="FILE", help="File to write; default: stdout.")
 @common
-def export(result: Path, fmt: str, label: str | None, arm_name: str | None, output: Path | None) -> None:
+def export(result: Path, fmt: str, label: str | None, every: bool, arm_name: str | None, output: Path | None) -> None:
     """Export the load as URDF, JSON or in the syntax of a robot controller; or a recording as table or for other tools.
 
     dcc is a Digital Calibration Certificate (XML): values, expanded uncertainty, budget, traceability.
@@ -96,7 +97,11 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
     from drives.profile import is_assumed
     from gateway.data.reading import is_recording
     from gateway.result.export import export as export_text
+    from gateway.result.export import loads_of_library
 
+    if every and (fmt in (CERTIFICATE_FORMAT, *RECORDING_FORMATS) or label is not None):
+        wrong = f"--format {fmt} is of one result" if label is None else f"--load {label} is one load"
+        raise click.UsageError(f"{wrong}, and --all is all loads of a library: leave one of both out")
     if is_recording(result) != (fmt in RECORDING_FORMATS):
         kinds = f"{fmt} is" if fmt in RECORDING_FORMATS else f"{', '.join(RECORDING_FORMATS)} are"
         raise click.UsageError(f"--format {kinds} for a recording (.h5); the other formats are for a result (.json)")
@@ -109,7 +114,7 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
     if fmt == TABLE_FORMAT:
         text = _table(result, arm_name, label)
     else:
-        held = _read_result(result)
+        held = loads_of_library(result) if every else _read_result(result)
         text = export_text(held, fmt, label)
         if held.data is not None and is_assumed(held.data.flange_source or ""):
             session_of().note(f"{result}: flange {held.data.flange_source}; state flange_rpy_rad in the cell file")

@@ -509,3 +509,14 @@ def joint_angles(text: str, session: Session) -> tuple[float, ...]:
 def one_of(names: Sequence[str]) -> click.Choice[str]:
     """Return a choice among names, with exact spelling."""
     return click.Choice(list(names))
+
+
+def effect_names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> frozenset[str]:
+    """Return effect names from comma-separated text; an unknown one is a usage error."""
+    from gateway.model.effects import LIBRARY
+
+    names = frozenset(part.strip() for part in (value or "").split(",") if part.strip())
+    unknown = sorted(names - set(LIBRARY))
+    if unknown:
+        raise click.BadParameter(f"'{unknown[0]}' is not an effect; choose from {', '.join(sorted(LIBRARY))}")
+    return names

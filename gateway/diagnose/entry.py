@@ -12,6 +12,7 @@ from gateway.errors import DataUnusable, InputError
 from gateway.estimate import ESTIMATORS
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import load_result
+from gateway.identify.prior_loads import refuse_parts
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot
 from gateway.result.result import Finding, HoldoutKind, Result
@@ -56,6 +57,7 @@ def diagnose(
     InputError : a known load that is not in the data, or hold-out rows with another number of axes
     """
     knowledge = knowledge or Knowledge()
+    refuse_parts(table.load, knowledge.parts, knowledge.known)
     moves = bool(table.moving.all())
     held, left_out = _held_out_of_kind(holdout, robot, moves=moves)
     if moves:

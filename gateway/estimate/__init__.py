@@ -25,7 +25,7 @@ from gateway.estimate.moving_estimate import estimate_moving
 from gateway.estimate.posture import estimate_posture
 from gateway.estimate.recommendation import next_pose, shrinks_most
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.prior_loads import BARE_LABEL, refuse_absent
+from gateway.identify.prior_loads import BARE_LABEL, refuse_absent, refuse_parts
 from gateway.identify.rejected import without_outliers
 from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit
@@ -151,15 +151,21 @@ def estimate(
     """
     if method not in METHODS:
         raise ConfigError(f"--method {method}: choose one of {', '.join(METHODS)}")
+    if knowledge.parts and method != "joint":
+        raise ConfigError(
+            f"--part needs --method joint: method {method} fits each load alone, without their covariance"
+        )
     if method == "coefficient":
         return estimate_coefficient(table, knowledge, coefficient)
     if robot is None:
         raise ConfigError(f"--method {method} needs the robot model: give --robot R.urdf or --cell CELL")
     refuse_absent(table.load, knowledge.weighed)
+    refuse_parts(table.load, knowledge.parts, knowledge.known)
     knowledge = knowledge.of_robot(robot)
     found = ESTIMATORS[method](table, robot, knowledge)
-    advice = [next_pose(load, robot, found.sigma_nm, knowledge, pose_choice) for load in found.loads]
-    advice += [shrinks_most(load) for load in found.loads if load.label not in knowledge.stated_loads]
+    measured = [load for load in found.loads if load.label not in knowledge.parts]
+    advice = [next_pose(load, robot, found.sigma_nm, knowledge, pose_choice) for load in measured]
+    advice += [shrinks_most(load) for load in measured if load.label not in knowledge.stated_loads]
     return replace(found, next=tuple(entry for entry in advice if entry is not None))
 
 

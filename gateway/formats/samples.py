@@ -111,12 +111,13 @@ def read_samples(path: Path, arm_name: str | None = None, label: str | None = No
     """
     recording = read(path)
     _refuse_unknown(recording, arm_name, label)
+    axes = {arm.name: len(arm.axis) for arm in recording.cell.arm}
     with open_recording(path) as root:
         arms = root.inside("arms")
         return Samples(
             about={name: str(value) for name, value in root.attributes().items()},
             arms=tuple(
-                _arm(arms.inside(arm.name), arm.name, len(_config_axes(recording, arm.name)), label)
+                _arm(arms.inside(arm.name), arm.name, axes[arm.name], label)
                 for arm in recording.arms
                 if arm_name in (None, arm.name)
             ),
@@ -132,10 +133,6 @@ def _refuse_unknown(recording: Recording, arm_name: str | None, label: str | Non
     if label not in (None, *recording.loads):
         held = ", ".join(recording.loads) or "no sample yet"
         raise InputError(f"{recording.path}: load '{label}' is not in the recording; it contains {held}")
-
-
-def _config_axes(recording: Recording, name: str) -> tuple[Any, ...]:
-    return tuple(axis for arm in recording.cell.arm if arm.name == name for axis in arm.axis)
 
 
 def _arm(place: Hdf5Group, name: str, axes: int, label: str | None) -> ArmSamples:

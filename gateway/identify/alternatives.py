@@ -66,7 +66,7 @@ def wider_std(problem: RestProblem, robot: Robot, knowledge: Knowledge) -> Float
 
 
 def spread_of_loads(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge) -> dict[str, Floats]:
-    """Return by source the covariance (labels, 4, 4) of [m, h] that the alternatives add to that of the fit."""
+    """Return by source the covariance (loads and parts, 4, 4) of [m, h] that alternatives add to that of the fit."""
     zeros, cable = _zero_columns(problem, fit), _cable_columns(robot, problem, fit)
     line = LinearisedFit.of(problem, fit, np.hstack([zeros, cable]))
     std, none = problem.common_std, np.zeros(zeros.shape[1] + cable.shape[1])
@@ -81,14 +81,12 @@ def spread_of_loads(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Kno
     odds = np.array([other.log_evidence - stated.log_evidence for _, other in tried])
     weight = PRIOR_ODDS * np.exp(np.minimum(odds, 50.0))
     weight /= 1.0 + weight.sum()
+    functions = [function for function, _ in problem.load_functions.values()]
     out: dict[str, Floats] = {}
     for (source, other), share in zip(tried, weight, strict=True):
         away = other.step - stated.step
         more = np.array(
-            [
-                other.covariance[part, part] - stated.covariance[part, part] + np.outer(away[part], away[part])
-                for part in map(problem.load_part, range(len(problem.labels)))
-            ]
+            [load @ (other.covariance - stated.covariance + np.outer(away, away)) @ load.T for load in functions]
         ).reshape(-1, 4, 4)
         out[source] = out.get(source, 0.0) + share * more
     return {source: _widening(more) for source, more in out.items()}

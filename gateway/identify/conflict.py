@@ -1,7 +1,7 @@
 """Statements about an arm, tested against rest visits: link masses, torque constants, changes of gain, labels.
 
 A statement enters a fit as a prior. A contradicted statement makes the fit narrow and wrong. So the spread of
-each group of priors is estimated from the data (empirical Bayes, `methods.md` 11): the marginal likelihood at a wider
+each group of priors is estimated from the data (empirical Bayes): the marginal likelihood at a wider
 prior over that at the stated one. A group that needs more than three times its stated spread is dropped. Background:
 Box 1980 (predictive checks), Evans and Moshonov 2006 (conflict of prior and data).
 """

@@ -1,4 +1,4 @@
-"""Deviation of each rest visit from the prediction fitted to the other visits, by axis (`methods.md` 9).
+"""Deviation of each rest visit from the prediction fitted to the other visits, by axis.
 
 A deviation in every visit of a pose is an effect of the arm: springs, cables and ripple cancel in the contrasts between
 visits of one pose. The load is fitted to contrasts between two loads. Visits without a repeat are compared with a

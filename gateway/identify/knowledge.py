@@ -67,6 +67,7 @@ class Knowledge:
         rows by a diagnosis in motion.
     known : label -> (mass [kg], x, y, z [m] in the last link) of loads that are known exactly
     weighed : label -> statement on a load that is not exact in all: it is estimated with that prior
+    parts : label of a part -> labels of the gripper with the part and of the gripper alone
     bare : stored bare identification, or None
     gravity_m_s2 : base frame
     gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
@@ -80,6 +81,7 @@ class Knowledge:
     link_std: float | None = None
     known: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
     weighed: Mapping[str, WeighedLoad] = field(default_factory=dict)
+    parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     bare: Bare | None = None
     gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
     gain_std: tuple[float, ...] | None = None

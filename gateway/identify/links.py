@@ -1,4 +1,4 @@
-"""Link parameters from a robot model and their prior (`methods.md`, link priors).
+"""Link parameters from a robot model and their prior.
 
 S is the relative standard deviation of every link's mass. The standard deviation of the first moment is S x mass x
 length of the link, that of the inertia S x mass x length^2. A link without inertial has unknown parameters, not zero

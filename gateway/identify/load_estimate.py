@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gateway.identify.inertia import LoadInertia
 from gateway.model.robot import Robot
 from gateway.result.inertia import moments_of, tensor_of
+from gateway.result.interval import half_width
 from gateway.result.names import INERTIA_WHOLE
 from gateway.result.result import Finding, LoadResult
 from gateway.result.values import matrix
@@ -24,6 +25,8 @@ _AS_ZERO = 1e-9
 REFUSED: Final = "refused_load"
 #: A mass that is negative by more standard deviations is refused: one load in a thousand by chance.
 NEGATIVE_MASS_STD = 3.0
+#: Mass of a part in standard deviations below which its centre, a quotient, has no normal error.
+LEAST_PART_STD = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +116,7 @@ def load_from_moment(
     widening: Floats,
     found: NDArray[np.bool_],
     longest_m: float,
+    part_of: tuple[str, str] | None = None,
 ) -> LoadEstimate:
     """Compute mass and centre of gravity from [m, h] (4,) with covariance (4, 4).
 
@@ -129,13 +133,24 @@ def load_from_moment(
         Which of [m, x, y, z] the data determine.
     longest_m : float
         Length of the arm.
+    part_of : tuple of str, optional
+        Labels of the gripper with the part and of the gripper alone, where the load is their difference. Its mass is
+        refused as negative from the end of its interval on, and gives no centre below `LEAST_PART_STD`.
     """
     turn = load_directions(moment)
     spread = turn @ covariance @ turn.T
     std = np.sqrt(np.maximum(np.diag(spread), 0.0))
     wide = std * widening
-    if found[0] and (reason := negative_mass(float(moment[0]), float(wide[0]))) is not None:
+    if part_of is None and found[0] and (reason := negative_mass(float(moment[0]), float(wide[0]))) is not None:
         return refused_load(label, reason)
+    if part_of is not None and found[0]:
+        if moment[0] < -half_width(wide[0]):
+            both, gripper = part_of
+            reason = (
+                f"'{both}' is lighter than '{gripper}' by {-moment[0]:.3g} kg (standard deviation {wide[0]:.2g} kg)"
+            )
+            return refused_load(label, f"{reason}: are the two labels of --part exchanged?")
+        found = found & np.concatenate([[True], [bool(moment[0] >= LEAST_PART_STD * wide[0])] * 3])
     known = found & np.concatenate([[True], wide[1:] <= longest_m])
     value = np.where(known, np.concatenate([moment[:1], turn[1, 1] * moment[1:]]), np.nan)
     size = np.where(known & (std > 0), std, np.nan)

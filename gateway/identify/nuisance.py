@@ -1,4 +1,4 @@
-"""Nuisance parameters beside links, loads and friction bands, with their priors (`methods.md` 9).
+"""Nuisance parameters beside links, loads and friction bands, with their priors.
 
 Per axis: a gain error of the torque reading, a bias that friction leaves in the half-sum of both approaches, and a loss
 proportional to the torque. Their uncertainty is part of every result. An effect is named only if it exceeds their
@@ -26,7 +26,7 @@ TABLE_GAIN_STD: Final = 0.03
 #: batch of motors).
 COMMON_SHARE: Final = 0.5
 #: Standard deviation of the change of an axis's gain on an occasion (a run with one load), and of the part that all
-#: axes share (`methods.md` 11: magnets and copper, some 10 K).
+#: axes share (assumed: magnets and copper, some 10 K).
 CHANGE_AXIS: Final = 0.004
 CHANGE_COMMON: Final = 0.003
 #: Prior standard deviation of the bias by direction, over the friction band.

@@ -1,4 +1,4 @@
-"""Outliers of rest visits, such as a caught cable, a dragging brake or a touch, from the data alone (`methods.md` 9).
+"""Outliers of rest visits, such as a caught cable, a dragging brake or a touch, from the data alone.
 
 An outlier (visit, axis) is isolated: the same pose under another load or at another time does not have it, nor do
 neighbouring poses or the visits before and after. A deviation in every visit of a pose is an effect of the arm and is

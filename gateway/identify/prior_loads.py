@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.data.labels import BARE_LABEL
+from gateway.data.labels import BARE_LABEL, label_refused
 from gateway.errors import DataUnusable, InputError
 from gateway.identify.links import PER_LINK_AT_REST
 from gateway.identify.nuisance import beyond_warm, change_covariance
@@ -53,6 +53,57 @@ def refuse_absent(present: Iterable[str], known: Iterable[str]) -> tuple[str, ..
         if label not in labels:
             raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(labels)}")
     return labels
+
+
+def refuse_parts(present: Iterable[str], parts: Mapping[str, tuple[str, str]], known: Mapping[str, object]) -> None:
+    """Refuse a part that is not the difference of two loads of the rows, of which one is to be estimated.
+
+    Raises
+    ------
+    InputError
+    """
+    labels = tuple(dict.fromkeys(str(label) for label in present))
+    for name, pair in parts.items():
+        if len(set(pair)) < 2:
+            raise InputError(f"--part {name}: '{pair[0]}' is named twice; name the gripper with the part, then alone")
+        for label in (name, *pair):
+            wrong = "is the unloaded arm: --part takes loads" if label == BARE_LABEL else label_refused(label)
+            if wrong:
+                raise InputError(f"--part {name}: '{label}' {wrong}")
+        for label in pair:
+            if label not in labels:
+                raise InputError(f"--part {name}: no row carries '{label}'; the data hold {', '.join(labels)}")
+        if name in labels:
+            raise InputError(f"--part {name}: the data hold a load of this label; choose another name for the part")
+        if set(pair) <= known.keys():
+            raise InputError(f"--part {name}: both loads are known exactly; take one of them out of --known")
+
+
+def load_functions(
+    first: Mapping[str, int],
+    known: Mapping[str, Floats],
+    parts: Mapping[str, tuple[str, str]],
+    shape: tuple[int, int],
+) -> dict[str, tuple[Floats, Floats]]:
+    """Return by label the linear function (k, p) of the parameters and the constant (k,) whose sum is [m, h, ..].
+
+    Loads to estimate come first, then parts, each the difference of two loads; a part of an absent load is left out.
+
+    Parameters
+    ----------
+    first : first column of each load to estimate
+    known : parameters of each load that is known exactly
+    parts : as of `Knowledge`
+    shape : (k, p)
+    """
+    size, count = shape
+    loads = {label: (np.zeros(shape), vector) for label, vector in known.items()}
+    loads |= {label: (np.eye(size, count, column), np.zeros(size)) for label, column in first.items()}
+    out = {label: loads[label] for label in first}
+    for name, (both, gripper) in parts.items():
+        if both in loads and gripper in loads:
+            out[name] = (loads[both][0] - loads[gripper][0], loads[both][1] - loads[gripper][1])
+    return out
 
 
 def require_postures(q_rad: Floats, label: str) -> None:

@@ -48,6 +48,7 @@ from gateway.pipeline.inputs import (
     split_validation,
 )
 from gateway.preflight.drive_check import require_passed
+from gateway.result.data_roles import HELD_ROLE, roles_of
 from gateway.result.result import Finding, Result
 
 #: Recording of the warm-up, beside that of the job.
@@ -212,7 +213,8 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     gears = about.knowledge.efficiency, about.knowledge.coupling
     drifts = () if job.warm_up_s is None else drift_of(pair_visits(table, *gears))
     result = replace(result, findings=(*result.findings, *robot.ends, *drift_findings(drifts)))
-    return finalize(result, about, table, [job.recording], job.operator)
+    roles = roles_of(*split_validation(table), result.provenance.get(HELD_ROLE), about.bare_roles)
+    return finalize(replace(result, data_roles=roles), about, table, [job.recording], job.operator)
 
 
 def measure(job: Job, dialogue: Dialogue) -> None:

@@ -157,10 +157,10 @@ def _axis(draft: Draft, axis: int, files: Callable[[str], str]) -> list[str]:
     name = profile.value[axis]
     shown = name if name in list_profiles() else files(name)
     lines.append(f"profile = {toml_value(shown)}{_remark(profile)}")
-    for question in _SOURCED:
-        answer = answers.taken[question.key]
-        lines.append(f"{question.key} = {_sourced(answer.value[axis], answer.source)}")
-    lines += [_line(question.key, _of_axis(answers.taken[question.key], axis)) for question in _PLAIN]
+    for question in (*_SOURCED, *_PLAIN):
+        answer = Answer(answers.taken[question.key].value[axis], answers.taken[question.key].source)
+        sourced = f"{question.key} = {_sourced(answer.value, answer.source)}"
+        lines.append(sourced if question in _SOURCED else _line(question.key, answer))
     torque_source = answers.taken[questions.TORQUE_LIMIT.key].source
     if torque_source.startswith(PLACEHOLDER):
         lines.append("# Placeholder: motion is refused until torque_limit_nm is corrected and its source is stated.")
@@ -170,10 +170,6 @@ def _axis(draft: Draft, axis: int, files: Callable[[str], str]) -> list[str]:
 
 def _sourced(value: float, source: str) -> str:
     return f"{{ value = {toml_value(value)}, source = {toml_value(source)} }}"
-
-
-def _of_axis(answer: Answer, axis: int) -> Answer:
-    return Answer(answer.value[axis], answer.source)
 
 
 def _line(key: str, answer: Answer) -> str:

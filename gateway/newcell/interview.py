@@ -202,7 +202,7 @@ def _drives(
         present = {node.node_id for node in on_bus}
         wanted = {node_id: addresses([profiles[axis]]) for axis, node_id in enumerate(ids) if node_id in present}
         values = eyes.values(spec, wanted)
-        live = [_with_values(node, values.get(node.node_id or 0, {})) for node in on_bus]
+        live = [replace(node, values=values.get(node.node_id or 0, {})) for node in on_bus]
         nodes = of_axes(ids, live, in_files)
     return Axes(nodes, profiles), nodes
 
@@ -211,10 +211,6 @@ def _alone(ids: Sequence[int]) -> None:
     twice = sorted({node for node in ids if ids.count(node) > 1})
     if twice:
         raise ConfigError(f"nodes: node id {twice[0]} is used for more than one axis; each drive needs its own node id")
-
-
-def _with_values(node: SeenNode, values: Mapping[Address, Read]) -> SeenNode:
-    return replace(node, values=values)
 
 
 def _gears(answers: CellAnswers, axes: Axes) -> None:

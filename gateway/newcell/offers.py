@@ -57,13 +57,10 @@ def profile_names(nodes: Sequence[SeenNode | None]) -> Answer | None:
         return None
     names = tuple(node.profiles[0] for node in nodes if node is not None)
     is_identified = all(
-        node is not None and node.identity.vendor_id is not None and _names_maker(node) for node in nodes
+        node is not None and node.identity.vendor_id is not None and not node.profiles[0].startswith("generic")
+        for node in nodes
     )
     return Answer(names, "read from drive, 0x1018" if is_identified else f"{ASSUMED}: no profile for this manufacturer")
-
-
-def _names_maker(node: SeenNode) -> bool:
-    return not node.profiles[0].startswith("generic")
 
 
 def gear_ratio(axes: Axes) -> Answer | None:

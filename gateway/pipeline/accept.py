@@ -37,7 +37,7 @@ def check_against_data(expected: Sequence[Expected], tables: Iterable[Table], ab
         The data lack a load; the message names its label.
     """
     present = [str(label) for table in tables for label in table.load]
-    check_expected(expected, unknown_labels(present, about.knowledge.known))
+    check_expected(expected, (*unknown_labels(present, about.knowledge.known), *about.knowledge.parts))
 
 
 def accept(result: Result, expected: Sequence[Expected], arm: ArmConfig | None) -> Result:

@@ -54,7 +54,7 @@ def finalize(
     Result
         Result with the data for the report and the provenance of every constant.
     """
-    result = _without_incredible(result, about)
+    result = _with_parts(_without_incredible(result, about), about.knowledge.parts)
     drawn = Drawn() if result.data is None else result.data
     roles = drawn.role or _roles(result)
     constants = _provenance(about)
@@ -119,6 +119,24 @@ def _without_incredible(result: Result, about: AnalysisInputs) -> Result:
     advice = "check the units of data and --known (kg, m, Nm, rad), and rated_load_kg of the cell file"
     findings = (*result.findings, *refused_findings(refused, advice))
     return replace(result, loads=loads, after=replace(result.after, loads=loads), findings=findings)
+
+
+def _with_parts(result: Result, parts: Mapping[str, tuple[str, str]]) -> Result:
+    """Refuse each part of a refused load, and report of which loads the others are the difference."""
+    loads, findings = {load.label: load for load in result.loads}, list(result.findings)
+    for name, pair in parts.items():
+        gone = [label for label in pair if label in loads and loads[label].refused]
+        if gone:
+            refused = load_result(refused_load(name, f"load '{gone[0]}' is refused"), None)
+            loads[name] = replace(refused, frame=loads[gone[0]].frame)
+            findings += refused_findings([loads[name]], f"see what is said of load '{gone[0]}'")
+        elif name in loads and not loads[name].refused:
+            what = f"difference of the loads '{pair[0]}' and '{pair[1]}' in one fit: errors that both share cancel"
+            findings.append(Finding("info", f"load {name}", what, ""))
+    if not parts:
+        return result
+    reported = tuple(loads.values())
+    return replace(result, loads=reported, findings=tuple(findings), after=replace(result.after, loads=reported))
 
 
 def _corrected(about: AnalysisInputs) -> list[Finding]:

@@ -35,6 +35,7 @@ from gateway.model.urdf_text import read_urdf
 from gateway.pipeline.calibrated import Calibrated, calibrated, serial_numbers
 from gateway.pipeline.known import KnownLoad, in_last_link, unnamed_frame
 from gateway.pipeline.torque_size import refuse_small_torques, without_constant_torques
+from gateway.result.data_roles import Roles
 from gateway.result.result import Bare, Finding, read_result
 
 VALIDATION = "x_validation"
@@ -51,6 +52,7 @@ class ModelRequest:
     robot, cell, bare : Path or None
     inertials : str or None
     known : mapping of label to KnownLoad
+    parts : mapping of the label of a part to those of the gripper with the part and of the gripper alone
     arm : str or None
         Name of the arm, if the cell has several.
     gain_std : float or None
@@ -67,6 +69,7 @@ class ModelRequest:
     cell: Path | None = None
     inertials: str | None = None
     known: Mapping[str, KnownLoad] = field(default_factory=dict)
+    parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     bare: Path | None = None
     arm: str | None = None
     gain_std: float | None = None
@@ -97,6 +100,8 @@ class AnalysisInputs:
     currents : joints whose motor current is in a table
     calibrated : Calibrated or None
         Torque constants of the calibration file, which `read_rows` applies.
+    bare_roles : Roles
+        Data that the stored identification of the unloaded arm was made from.
     """
 
     robot: Robot | None
@@ -108,6 +113,7 @@ class AnalysisInputs:
     assumed: tuple[Finding, ...] = ()
     currents: frozenset[int] = frozenset()
     calibrated: Calibrated | None = None
+    bare_roles: Roles = field(default_factory=dict)
 
     @property
     def load_bounds(self) -> LoadBounds:
@@ -195,6 +201,7 @@ def inputs_from_recordings(
         link_std=link_std,
         known=exact,
         weighed={label: load for label, load in loads.items() if label not in exact},
+        parts=request.parts,
         bare=bare,
         gravity_m_s2=gravity_m_s2,
         gain_std=_gain_std(request, arm, axes, (profile_of(read_ones, loaded), currents), measured),
@@ -218,6 +225,7 @@ def inputs_from_recordings(
         currents=currents,
         assumed=(*filter(None, assumed), *(() if measured is None else measured.findings)),
         calibrated=measured,
+        bare_roles={} if request.bare is None else read_result(request.bare).data_roles,
     )
 
 

@@ -28,6 +28,7 @@ from gateway.model.kinematics import flange_frames, joint_axes_origins
 from gateway.model.robot import reach_m
 from gateway.model.visits import SAME_POSE_RAD, Gears, Visits, pair_visits
 from gateway.pipeline.inputs import AnalysisInputs
+from gateway.result.data_roles import CHOSEN_ON, FIT, VALIDATION, refuse_used, rows_in, used_rows
 from gateway.result.result import Result
 
 Floats = NDArray[np.float64]
@@ -63,6 +64,8 @@ def entered_load(result: Result, label: str | None, about: AnalysisInputs) -> En
     if result.verdict == "undecided" and result.effects:
         names = ", ".join(sorted({effect.name for effect in result.effects}))
         raise DataUnusable(f"the result does not decide between the effects {names}: measure the poses under `next`")
+    if not result.data_roles:
+        raise DataUnusable("the result does not state which data it was fitted to: estimate again and name that file")
     if result.bare is None:
         raise DataUnusable(f"the result holds no identification of the unloaded arm: {_AGAIN}")
     refuse_other_bare(result.bare, about.model, about.knowledge.gravity_m_s2)
@@ -103,8 +106,8 @@ def unseen(result: Result, q_rad: Floats) -> NDArray[np.bool_]:
 
 
 def seen_postures(result: Result, axes: int) -> Floats:
-    """Return the postures (k, N) [rad] that a result was computed from."""
-    return np.array([] if result.rows is None else result.rows.q_rad, dtype=float).reshape(-1, axes)
+    """Return the postures (k, N) [rad] that a result was fitted to or chosen on."""
+    return np.vstack([rows_in(result.data_roles, (FIT, CHOSEN_ON), kind, axes)[0] for kind in ("", "moving_")])
 
 
 def accepted_over(
@@ -131,11 +134,13 @@ def accepted_over(
     Raises
     ------
     DataUnusable
-        No unseen pose under the load, or an axis was not measured.
+        No unseen pose under the load, an axis was not measured, or a visit that the result was fitted to or chosen on.
     """
     label = entered.load.label
     stated = about.knowledge
-    visits = pair_visits(table.take((table.load == label) & ~table.moving), stated.efficiency, stated.coupling)
+    judged = table.take((table.load == label) & ~table.moving)
+    refuse_used(judged, used_rows(judged, result.data_roles, (FIT, CHOSEN_ON)), "the fit of the result")
+    visits = pair_visits(judged, stated.efficiency, stated.coupling)
     visits = visits.take(unseen(result, visits.q_rad))
     if not len(visits) or not np.isfinite(visits.sum_nm).all():
         raise DataUnusable(
@@ -159,6 +164,7 @@ def accepted_over(
         "probability_of_likeliest_error": found.odds,
         "tolerance_nm": tolerance_nm.tolist(),
         "noise_floor_nm": list(result.noise_floor_nm),
+        "visits_that_judged_before": int(used_rows(judged, result.data_roles, (VALIDATION,)).sum()),
         "poses": _poses(entered, visits, residual_nm),
         "map": _map(entered, q_rad, found),
     }

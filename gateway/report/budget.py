@@ -14,7 +14,7 @@ from gateway.report.svg import Panel
 from gateway.result.certificate import EVALUATIONS
 from gateway.result.interval import PLUS_MINUS, SAID, half_width
 from gateway.result.numerals import with_interval
-from gateway.result.result import LoadResult, NuisanceResult, Result, SetAside
+from gateway.result.result import LoadResult, Result, SetAside
 
 #: Source -> its name on the page.
 SOURCE_WORDS: Final = {source: said for source, (said, _) in EVALUATIONS.items()}
@@ -113,7 +113,10 @@ def _half(std: float) -> str:
 def nuisance_rows(result: Result) -> list[tuple[str, list[str]]]:
     """Return the nuisance parameters: text with unit, and value with 95 % interval of each axis."""
     return [
-        ("{} [{}]".format(*_said(key)[:2]), _cells(nuisance, _said(key)[2]))
+        (
+            "{} [{}]".format(*_said(key)[:2]),
+            [_cell(value, std, _said(key)[2]) for value, std in zip(nuisance.value, nuisance.std, strict=True)],
+        )
         for key, nuisance in result.nuisance.items()
         if any(map(notation.known, nuisance.value))
     ]
@@ -124,10 +127,6 @@ def _said(key: str) -> tuple[str, str, float]:
         return NUISANCE_WORDS[key]
     name, unit = notation.parameter(key)
     return name, unit, 1.0
-
-
-def _cells(nuisance: NuisanceResult, factor: float) -> list[str]:
-    return [_cell(value, std, factor) for value, std in zip(nuisance.value, nuisance.std, strict=True)]
 
 
 def _cell(value: float, std: float, factor: float) -> str:

@@ -37,6 +37,7 @@ def scene_page(
     arm: tuple[str, Sequence[Vector]] | None = None,
     over: str = "Poses",
     figures: Sequence[tuple[str, Markup]] = (),
+    loads: Sequence[Sequence[str]] = (),
 ) -> str:
     """Return the HTML page of a plan or a cell: lines in space with the boxes of keep_out, and further figures.
 
@@ -56,9 +57,11 @@ def scene_page(
         Positions of joints and flange, base frame.
     over, figures : str, sequence of (title, figure)
         Further figures and their heading.
+    loads : sequence of rows
+        Table of the loads of the arm, the names of its columns first.
     """
-    scene = _scene(lines_m, boxes_m, arm)
-    return page("plan.html.j2", head, heading=heading, lead=lead, scene=scene, over=over, arms=figures, said=said)
+    texts = {"heading": heading, "lead": lead, "over": over, "said": said, "loads": loads}
+    return page("plan.html.j2", head, scene=_scene(lines_m, boxes_m, arm), arms=figures, **texts)
 
 
 def curve_figures(

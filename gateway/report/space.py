@@ -36,7 +36,7 @@ def pose_figures(drawn: Sequence[DrawnPose], classes: Mapping[str, str]) -> list
     poses = [pose for pose in drawn if pose.points_m]
     if not poses:
         return []
-    every = [point for pose in poses for point in _all_points(pose)] + [(0.0, 0.0, 0.0)]
+    every = [point for pose in poses for point in (*pose.points_m, *filter(None, [pose.com_m]))] + [(0.0, 0.0, 0.0)]
     ground = GROUND * max(math.hypot(x, y) for x, y, _ in every)
     flat = [project(point) for point in every] + [project(point) for point in _rim(ground)]
     scales = _scales(flat)
@@ -49,10 +49,6 @@ def project(point: Vector) -> tuple[float, float]:
     right = -math.sin(AZIMUTH_RAD) * x + math.cos(AZIMUTH_RAD) * y
     depth = math.cos(AZIMUTH_RAD) * x + math.sin(AZIMUTH_RAD) * y
     return right, math.cos(ELEVATION_RAD) * z - math.sin(ELEVATION_RAD) * depth
-
-
-def _all_points(pose: DrawnPose) -> list[Vector]:
-    return [*pose.points_m, *([pose.com_m] if pose.com_m else [])]
 
 
 def _scales(flat: Sequence[tuple[float, float]]) -> tuple[Scale, Scale]:

@@ -36,7 +36,10 @@ def render_stop(box: BlackBox) -> str:
         span_s=notation.plain(float(np.ptp(time_s)) if len(time_s) else 0.0, 1),
         drawn_s=f"{DRAWN_S:g}",
         states=stop_figures.states_figure(box, drives, DRAWN_S) if drives else None,
-        arms=[(_name(curve, len(curves)), _last(curve), stop_figures.axis_figures(curve)) for curve in curves],
+        arms=[
+            (f"Arm {curve.arm}" if len(curves) > 1 else "Axis by axis", _last(curve), stop_figures.axis_figures(curve))
+            for curve in curves
+        ],
         columns=[[notation.axis(axis + 1) for axis in range(curve.q_rad.shape[1])] for curve in curves],
         before=[_line(each, drives, len(curves)) for each in before],
         after=[_line(each, drives, len(curves)) for each in after],
@@ -82,10 +85,6 @@ def _speed(q_rad: Floats, time_s: Floats) -> Floats:
     passed_s = time_s[known] - time_s[earlier[known]]
     speed[known] = (q_rad[known] - q_rad[earlier[known]]) / np.where(passed_s > 0.0, passed_s, np.nan)[:, None]
     return speed
-
-
-def _name(curves: StopCurves, arms: int) -> str:
-    return f"Arm {curves.arm}" if arms > 1 else "Axis by axis"
 
 
 def _last(curves: StopCurves) -> list[tuple[str, list[str]]]:

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import InputError
+from gateway.result.data_roles import shared_rows
 from gateway.result.result import EffectResult, LoadResult, Result
 from gateway.result.values import plain_values
 
@@ -117,12 +118,13 @@ class ResultComparison:
     quantities: tuple[ComparedQuantity, ...]
     verdict: Outcome
     remarks: tuple[str, ...]
+    shared: Mapping[str, Any]
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values; NaN becomes None."""
         rows = [asdict(each) | {"difference": each.difference} for each in self.quantities]
         about = {"robot": self.robot, "before": self.before, "after": self.after, "created": list(self.created)}
-        reported = {"verdict": self.verdict, "quantities": rows, "remarks": list(self.remarks)}
+        reported = {"verdict": self.verdict, "quantities": rows, "remarks": list(self.remarks), "shared": self.shared}
         return {"schema": 1, "kind": "comparison", **about, **plain_values(reported)}
 
 
@@ -190,9 +192,17 @@ def compare(
         remarks.append(f"{', '.join(stated)}: not measured, the value is that of its prior; a change is not visible")
     if same:
         remarks.append("both files are the same result")
+    shared = shared_rows(before.data_roles, after.data_roles)
+    if shared["all"]:
+        remarks.append("both results are of the same data: the comparison shows how they were evaluated, no change")
+    elif both := {**shared["visits"], **shared["moving_samples"]}:
+        counts = ", ".join(f"{count} under load {label}" for label, count in both.items())
+        remarks.append(f"{names[0]} and {names[1]} share measured data ({counts}); a shared unloaded arm is usual")
     if None not in created and str(created[0]) > str(created[1]):
         remarks.append(f"{names[0]} is newer than {names[1]}: check the order of the two files")
-    return ResultComparison(before.robot, *names, (created[0], created[1]), rows, _verdict(rows), tuple(remarks))
+    return ResultComparison(
+        before.robot, *names, (created[0], created[1]), rows, _verdict(rows), tuple(remarks), shared
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,14 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from drives.printable import one_line
-from gateway.errors import ConfigError, DataUnusable
+from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.result.controllers import to_abb, to_fanuc, to_kuka, to_ur, to_yaskawa
+from gateway.result.drawn import Drawn
 from gateway.result.export_load import SCREEN_WIDTH, ExportLoad, accuracy, complete, number_text, unique_names
+from gateway.result.library import read_library
 from gateway.result.opc40010 import to_opc40010
+from gateway.result.result import read_result
 
 if TYPE_CHECKING:
     from gateway.result.result import LoadResult, Result
@@ -56,6 +60,25 @@ def export(result: Result, fmt: str, label: str | None = None) -> str:
         for load in _chosen(result, label)
     ]
     return write(loads, one_line(result.robot))
+
+
+def loads_of_library(path: Path) -> Result:
+    """Return one result with all loads of a library, for `export`.
+
+    Raises
+    ------
+    InputError
+        The library or one of its results cannot be used, or they are of different robots, arms or flange frames.
+    """
+    results = [read_result(Path(f"{path}#{label}")) for label in read_library(path)]
+    pairs = [(result, result.data or Drawn()) for result in results]
+    if len({(result.robot, about.arm, about.flange_source) for result, about in pairs}) != 1:
+        advice = "estimate the older ones again with --save --force"
+        raise InputError(f"{path}: its loads are not of one robot, arm and flange frame; {advice}")
+    loads = [(load, about) for result, about in pairs for load in result.loads]
+    flange = {load.label: about.flange[load.label] for load, about in loads if load.label in about.flange}
+    about = replace(pairs[0][1], flange=flange)
+    return replace(results[0], loads=tuple(load for load, _ in loads), data=about)
 
 
 def _chosen(result: Result, label: str | None) -> list[LoadResult]:

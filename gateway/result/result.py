@@ -16,8 +16,10 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 
 from gateway.errors import InputError
+from gateway.result.data_roles import Roles
 from gateway.result.drawn import Drawn
 from gateway.result.finding import Finding
+from gateway.result.library import result_file
 from gateway.result.names import SILENT
 from gateway.result.seal import refuse_edited, sealed
 from gateway.result.values import (
@@ -320,7 +322,8 @@ class AxisMotion:
 class Result:
     """Content of the result file. `loads` is the final answer and equals `after.loads`.
 
-    `sha256` is the checksum of the file that was read; a written file gets its own.
+    `sha256` is the checksum of the file that was read; a written file gets its own. `data_roles` are the measured data
+    by role, as in `gateway.result.data_roles`.
     """
 
     robot: str
@@ -348,6 +351,7 @@ class Result:
     bare: Bare | None = field(default=None, metadata=SILENT)
     motion: tuple[AxisMotion, ...] = field(default=(), metadata=SILENT)
     data: Drawn | None = field(default=None, metadata=SILENT)
+    data_roles: Roles = field(default_factory=dict, metadata=SILENT)
     schema: int = SCHEMA
     sha256: str | None = field(default=None, metadata=SILENT)
     extra: Mapping[str, Any] = field(default_factory=dict, metadata=SILENT)
@@ -406,17 +410,20 @@ def _from_object(data: dict[str, Any], where: str) -> Result:
 
 
 def read_result(path: Path) -> Result:
-    """Read a result file and check that it was not edited.
+    """Read a result file, or the result of one load of a library (`result_file`); check that it was not edited.
 
     Raises
     ------
     InputError
         It cannot be read, as `from_json`, or it was edited since.
     """
+    path, label = result_file(path)
     data = json_object(text_of(path, "name the JSON that `estimate --json` wrote"), str(path))
     result = _from_object(data, str(path))
     refuse_edited(data, str(path))
-    return result
+    if label is None:
+        return result
+    return dataclasses.replace(result, loads=tuple(load for load in result.loads if load.label == label))
 
 
 def json_schema() -> dict[str, Any]:

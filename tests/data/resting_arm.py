@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from benchmarks.blind.drawn_arm import draw_arm
 from gateway.data.table import Table, concatenate
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.rest_mistakes import Mistake
@@ -18,7 +19,7 @@ from gateway.identify.rest.linear import RestProblem
 from gateway.identify.solve import Basis, ByGroup
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.result.result import Result
-from sim.draw import DrawnArm, choose_poses, draw_arm
+from sim.draw import DrawnArm, choose_poses
 from sim.effects import apply_effects
 from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 from tests.data.arms import carrying, peer_of, torque_of

@@ -38,7 +38,7 @@ PUBLIC = {
     "Drive": ["bus", "node_id"],
     "KnownLoad": ["mass_kg", "com_m", "frame", "mass_std_kg", "com_std_m"],
     "ModelRequest": [
-        *("robot", "cell", "inertials", "known", "bare", "arm", "gain_std", "tip", "is_warm", "calibrated"),
+        *("robot", "cell", "inertials", "known", "parts", "bare", "arm", "gain_std", "tip", "is_warm", "calibrated"),
     ],
 }
 

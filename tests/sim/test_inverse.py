@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio
 import pytest
 
-from sim.draw import GRAVITY, arm_geometry
+from benchmarks.blind.drawn_arm import arm_geometry
+from sim.draw import GRAVITY
 from sim.engine import Engine
 from sim.urdf import SimBody, UrdfError, write_chain
 

@@ -10,8 +10,9 @@ import numpy as np
 import pybullet
 import pytest
 
-from sim.blind import draw_cell, strength
-from sim.draw import draw_arm
+from benchmarks.blind.drawn_arm import draw_arm
+from benchmarks.blind.drawn_cell import draw_cell
+from sim.blind import strength
 from sim.offline import PlannedVisit, Protocol, gravity_columns, half_floor, measure, statics
 from sim.plant import Payload, nominal_plant
 from sim.urdf import read_chain

@@ -118,6 +118,19 @@ def test_arrival_to_signature_as_typed(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_before_the_robot_as_typed(tmp_path, monkeypatch):
+    typed = typed_page("tutorial/before-the-robot.md", "43114", tmp_path, monkeypatch, ("small",))
+    assert typed == ["plan", "rehearse", "plan"]
+    out = tmp_path / "out" / "before"
+    body = json.loads((out / "rehearsal.json").read_text(encoding="utf-8"))
+    assert {entry["name"] for entry in body["effects"]} == {"base_tilt", "payload_shift"}
+    assert len(body["runs"]) == 4 + 2 * 3
+    plans = [json.loads((out / name).read_text(encoding="utf-8")) for name in ("plan.json", "plan-2.json")]
+    assert len(plans[0]["poses"]) == len(plans[1]["poses"])
+    assert body["time_under_power_s"] == pytest.approx(2.0 * plans[0]["duration_s"])
+
+
+@pytest.mark.slow
 def test_first_real_drive_as_typed(tmp_path, monkeypatch):
     typed = typed_page("how-to/first-real-drive.md", "43118", tmp_path, monkeypatch, ("bench", "own"))
     assert typed[:7] == ["doctor", "scan", "profiles", "cell", "check", "check", "move"]

@@ -32,6 +32,7 @@ from gateway.diagnose.moving.select import Chosen
 from gateway.diagnose.moving.state import MovingState
 from gateway.identify.load_estimate import refused_findings
 from gateway.model.effects.velocity_friction import Stribeck
+from gateway.result.data_roles import CHOSEN_ON, HELD_ROLE, VALIDATION
 from gateway.result.result import (
     EffectResult,
     Evidence,
@@ -210,6 +211,7 @@ def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, obj
         "inertials": inertials_text(np.inf if trust is None else trust),
         "rows_that_count": numbers(problem.noise.share * motion.judged.sum(axis=0)),
         "candidates_tried": _tried(outcome),
+        HELD_ROLE: CHOSEN_ON if outcome.refuted or outcome.unproven else VALIDATION,
     }
 
 

@@ -68,6 +68,7 @@ from gateway.model.effects import LIBRARY, terms_at_rest
 from gateway.model.robot import Robot
 from gateway.model.unnamed import unnamed_terms
 from gateway.model.visits import Visits, joined, pair_visits
+from gateway.result.data_roles import CHOSEN_ON, FIT, HELD_ROLE, VALIDATION
 from gateway.result.result import EffectResult, Finding, FitSummary, HoldoutKind, Result, Verdict
 
 Floats = NDArray[np.float64]
@@ -345,12 +346,14 @@ class RestDiagnosis:
         settled = found.settled
         if settled is not None and settled.knowledge is not self.knowledge:
             return self._knowing(settled.knowledge).report(found, holdout, kind)
-        found = self._upheld(found, holdout)
+        searched, found = found, self._upheld(found, holdout)
         search, problem = found.search, found.search.problem
         decision = decide(search, found.chosen)
         held = self._held(found, holdout)
         decision, findings = self._confirmed(decision, held, problem)
-        decision, judge, shown, formulas = _named(found, decision, held)
+        confirmed, (decision, judge, shown, formulas) = decision, _named(found, decision, held)
+        # a mistake or a name that the held-out rows took away is a choice made on them
+        held_role = VALIDATION if found is searched and decision is confirmed else CHOSEN_ON
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += shown
         seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.allowed else []
@@ -368,6 +371,7 @@ class RestDiagnosis:
         if held is not None and kind == "fresh" and not findings:
             # what the proof has confirmed is estimated from all visits, those of the proof included
             last_problem, last = held.problem, fit(held.problem, last.terms, last.noise, last)
+            held_role = FIT
         last = with_place_effects(last)
         after = summary(problem, decision.after, judge, loads_of(last_problem, last, self.robot, by_shape))
         if last_problem is not problem and decision.after is decision.before and not found.mistakes:
@@ -417,6 +421,7 @@ class RestDiagnosis:
                 "poses": len(np.unique(problem.rows.pose)),
                 "hypotheses": len(search.pool),
                 "structure_p": decision.structure_p,
+                HELD_ROLE: held_role,
                 "inertials": inertials_text(self.knowledge.trust),
             },
             bare=bare,

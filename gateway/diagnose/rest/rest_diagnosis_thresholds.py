@@ -90,9 +90,7 @@ class RestThresholds:
         8.0, "log odds", "prior penalty of an effect with a value that its mechanism cannot have", BLIND
     )
     rare: float = threshold(2.0, "log odds", "prior penalty of an unnamed torque curve against named effects", BLIND)
-    cogging: float = threshold(
-        1.0, "noise floors", "RMS of the usual ripple of a gear", "`methods.md` 9: below one floor"
-    )
+    cogging: float = threshold(1.0, "noise floors", "RMS of the usual ripple of a gear", "assumed: below one floor")
     # where the search looks
     singles: int = threshold(8, "", "number of places fitted alone", BLIND)
     pairs: int = threshold(10, "", "number of pairs of places fitted together", BLIND)

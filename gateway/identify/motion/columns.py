@@ -108,6 +108,7 @@ class Columns:
         Effects with columns of their own, which come last; those that depend on the modelled torque are 0.
     taken : int array
         Nuisance parameters that an effect replaces: without prior and without limit.
+    parts : as of `Knowledge`
     """
 
     design: Floats
@@ -129,6 +130,7 @@ class Columns:
     falls_rad_s: Floats
     effects: SeenEffects | None = None
     taken: Ints = field(default_factory=lambda: np.zeros(0, dtype=int))
+    parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     def with_effects(self, seen: SeenEffects | None) -> Columns:
         """Return the columns with effects; an effect replaces the nuisance parameter that it exceeds."""
@@ -282,6 +284,7 @@ def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledg
         np.eye(len(fixed))[:, chosen], fixed, known, places, int(firsts[-1]), nuisances,
         occasions, occasion,
         np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, falls_rad_s,
+        parts=knowledge.parts,
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from gateway.identify.motion.columns import NUISANCES
 from gateway.identify.motion.friction import FALL, Fall, shown_fall
 from gateway.identify.motion.moving_fit import FittedMotion, MotionFit
 from gateway.identify.motion.prior import UNTOLD
+from gateway.identify.prior_loads import load_functions
 from gateway.identify.solve import determined
 from gateway.model.robot import Robot, reach_m
 from gateway.result.interval import holds_zero
@@ -25,31 +26,36 @@ Floats = NDArray[np.float64]
 def loads_of(found: FittedMotion, robot: Robot) -> tuple[LoadEstimate, ...]:
     """Return every estimated load, refused ones last."""
     fit = found.fit
-    fitted = () if fit is None else tuple(_load(fit, label, reach_m(robot)) for label in fit.columns.loads)
+    if fit is None:
+        return found.refused
+    columns = fit.columns
+    shape = (10 if columns.inertia else 4, len(fit.value))
+    known = {label: body[: shape[0]] for label, body in columns.known.items()}
+    functions = load_functions(columns.loads, known, columns.parts, shape)
+    fitted = (_load(fit, label, *function, reach_m(robot)) for label, function in functions.items())
     return (*fitted, *found.refused)
 
 
-def _load(fit: MotionFit, label: str, longest_m: float) -> LoadEstimate:
-    """Mass, centre of gravity and inertia of one load."""
-    columns, solution, covariance = fit.columns, fit.settled.solution, fit.spread.covariance
-    first = columns.loads[label]
-    part = slice(first, first + 4)
-    directions = np.zeros((4, len(solution.value)))
-    directions[:, part] = np.eye(4)
-    found = determined(solution, directions)
+def _load(fit: MotionFit, label: str, function: Floats, constant: Floats, longest_m: float) -> LoadEstimate:
+    """Mass, centre of gravity and inertia of one load, whose parameters are `function @ value + constant`."""
+    columns, solution = fit.columns, fit.settled.solution
+    value, covariance = function @ solution.value + constant, function @ fit.spread.covariance @ function.T
+    found = determined(solution, function[:4])
     found[1:] &= found[0]
-    moment, inertia = solution.value[part], None
+    moment, inertia = value[:4], None
     if columns.inertia and found[0]:
-        ten = slice(first, first + 10)
-        moment, inertia = _body(solution.value[ten], covariance[ten, ten])
-    load = load_from_moment(label, moment, covariance[part, part], np.ones(4), found, longest_m)
+        moment, inertia = _body(value, covariance)
+    part_of = columns.parts.get(label)
+    load = load_from_moment(label, moment, covariance[:4, :4], np.ones(4), found, longest_m, part_of)
+    if part_of is not None and not np.isfinite(load.com_m).all():
+        inertia = None
     sources = {
         CONSTANTS: columns.nuisances.get("gain", np.zeros(0, dtype=int)),
         LINKS: columns.links,
         FRICTION: columns.friction,
         DRIFT: columns.changes.ravel(),
     }
-    lead, variance = fit.settled.free.covariance[first], float(covariance[first, first])
+    lead, variance = fit.settled.free.covariance @ function[0], float(covariance[0, 0])
     budget = budget_by_priors(lead, columns.prior.precision, sources, variance) if np.isfinite(load.mass_kg) else {}
     return replace(load, budget=budget, inertia=inertia if load.refused is None else None)
 

@@ -29,7 +29,7 @@ class Contrasts:
     """Transform rows of several loads at the same phase of one motion into their mean and their differences.
 
     Errors of the arm's model are equal in all of them, so they are in the mean only. The differences determine the
-    loads by far best, and have their own weight (`methods.md` 10).
+    loads by far best, and have their own weight.
 
     Attributes
     ----------

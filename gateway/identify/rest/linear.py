@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.prior_loads import load_functions
 from gateway.identify.rest.place_effects import PlaceEffects, Places
 from gateway.identify.rest.rest_nuisance import COLD, KINDS, NUISANCE_KINDS, RestNuisance, nuisance_setting
 from gateway.identify.rest.rest_thresholds import REST_MODEL
@@ -44,6 +45,7 @@ class RestProblem:
     group : (rows,) noise group: axis + N * (0 half sum, 1 half difference, 2 one-sided)
     prior_rows, prior_target : (k, n_common), (k,) further knowledge: `prior_rows @ common = prior_target`, unit std
     nuisance : prior of the nuisance parameters
+    parts : as of `Knowledge`
     recent : columns of the fits that were used last
     """
 
@@ -60,6 +62,7 @@ class RestProblem:
     prior_rows: Floats
     prior_target: Floats
     nuisance: RestNuisance
+    parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     recent: _Recent = field(default_factory=lambda: _Recent())
 
     @cached_property
@@ -121,6 +124,14 @@ class RestProblem:
     def load_part(self, index: int) -> slice:
         """Slice of the parameters of one load."""
         return slice(4 * (self.axes + index), 4 * (self.axes + index + 1))
+
+    @property
+    def load_functions(self) -> dict[str, tuple[Floats, Floats]]:
+        """Linear function (4, n_common) and constant (4,) of [m, h] of each load and part; see `load_functions`."""
+        first = {label: self.load_part(index).start for index, label in enumerate(self.labels)}
+        carried = dict(zip(self.rows.load.tolist(), self.fixed_load, strict=True))
+        known = {label: carried[label] for label in carried.keys() - first.keys()}
+        return load_functions(first, known, self.parts, (4, self.n_common))
 
     @property
     def band_part(self) -> slice:

@@ -85,6 +85,7 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: Gai
         prior_rows=prior_rows,
         prior_target=prior_target,
         nuisance=nuisance,
+        parts=knowledge.parts,
     )
 
 

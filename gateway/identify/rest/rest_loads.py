@@ -42,16 +42,17 @@ def load_estimates(
     by_shape: Floats | None = None,
     by_statement: Mapping[str, Floats] | None = None,
 ) -> tuple[LoadEstimate, ...]:
-    """Return every estimated load, in the order of the labels.
+    """Return every estimated load, in the order of the labels, then the parts.
 
-    `by_shape` (labels, 4, 4) is the covariance of [m, h] due to the choice of the effects' shapes, `by_statement` that
-    due to possibly wrong statements, by source; none if not given.
+    `by_shape` (loads and parts, 4, 4) is the covariance of [m, h] due to the choice of the effects' shapes.
+    `by_statement` is that due to possibly wrong statements, by source. Both are zero if not given.
     """
-    further = np.zeros((len(problem.labels), 4, 4)) if by_shape is None else by_shape
+    functions = problem.load_functions
+    further = np.zeros((len(functions), 4, 4)) if by_shape is None else by_shape
     stated = by_statement or {}
     return tuple(
-        _load(problem, fit, robot, k, further[k], {source: part[k] for source, part in stated.items()})
-        for k in range(len(problem.labels))
+        _load(problem, fit, robot, label, further[k], {source: more[k] for source, more in stated.items()})
+        for k, label in enumerate(functions)
     )
 
 
@@ -61,44 +62,45 @@ def loads_of(problem: RestProblem, fit: Fit, robot: Robot, by_shape: Floats | No
 
 
 def spread_by_shape(fit: Fit, shapes: Sequence[tuple[float, Fit]]) -> Floats:
-    """Covariance (labels, 4, 4) of [m, h] due to other shapes of the effects, weighted by their probabilities."""
-    out = np.zeros((len(fit.loads), 4, 4))
+    """Covariance (loads and parts, 4, 4) of [m, h] due to other shapes of the effects, by their probabilities."""
+    functions = np.array([function for function, _ in fit.problem.load_functions.values()])
+    functions = functions.reshape(-1, 4, fit.problem.n_common)
+    out = np.zeros((len(functions), 4, 4))
     for weight, other in shapes:
-        away = other.loads - fit.loads
+        away = functions @ (other.common - fit.common)
         out += weight * away[:, :, None] * away[:, None, :]
     return out
 
 
 def _load(
-    problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Floats, by_statement: Mapping[str, Floats]
+    problem: RestProblem, fit: Fit, robot: Robot, label: str, by_shape: Floats, by_statement: Mapping[str, Floats]
 ) -> LoadEstimate:
-    part = problem.load_part(index)
+    function, constant = problem.load_functions[label]
+    moment = function @ fit.common + constant
     # Mask (4,) of the determined entries of [m, hx, hy, hz]; an undetermined mass leaves the centre undetermined
-    pure = np.zeros((4, len(fit.scale)))
-    pure[:, part] = np.eye(4)
+    pure = np.pad(function, ((0, 0), (0, len(fit.scale) - problem.n_common)))
     found = well_determined(problem, fit, pure)
     found[1:] &= found[0]
-    directions = np.zeros((4, len(fit.scale)))
-    directions[:, part] = load_directions(fit.loads[index])
+    turn = load_directions(moment)
+    directions, covariance = turn @ pure, pure @ fit.covariance @ pure.T
     wider, stated = widening(problem, fit, directions), np.zeros((4, 4)) + sum(by_statement.values())
     load = load_from_moment(
-        problem.labels[index],
-        fit.loads[index],
-        fit.covariance[part, part] + by_shape + stated,
-        wider,
-        found,
-        reach_m(robot),
+        label, moment, covariance + by_shape + stated, wider, found, reach_m(robot), problem.parts.get(label)
     )
-    common = common_errors(problem, fit, directions) | {"statements": directions[:, part] @ _root(stated)}
+    size, vectors = np.linalg.eigh(stated)
+    root = (vectors * np.sqrt(np.maximum(size, 0.0))) @ vectors.T
+    common = common_errors(problem, fit, directions) | {"statements": turn @ root}
     return replace(
         load,
         common_errors={name: wider[:, None] * values for name, values in common.items() if values.any()}
         if found.all() and load.refused is None
         else {},
-        per_pose_mass_kg=per_pose_mass(problem, fit, index) if found.all() else {},
+        per_pose_mass_kg=per_pose_mass(problem, fit, problem.labels.index(label))
+        if found.all() and label in problem.labels
+        else {},
         budget=_with_statements(
-            _budget(problem, fit, part.start),
-            float(fit.covariance[part.start, part.start]),
+            _budget(problem, fit, pure[0]),
+            float(covariance[0, 0]),
             {source: float(more[0, 0]) for source, more in by_statement.items()},
         )
         if np.isfinite(load.mass_kg)
@@ -123,12 +125,6 @@ def common_errors(problem: RestProblem, fit: Fit, directions: Floats) -> dict[st
     return out
 
 
-def _root(covariance: Floats) -> Floats:
-    """Return the symmetric square root (k, k) of a covariance."""
-    values, vectors = np.linalg.eigh(covariance)
-    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-
-
 def well_determined(problem: RestProblem, fit: Fit, directions: Floats) -> NDArray[np.bool_]:
     """Mask (k,) of linear functions (k, p) of the parameters that rows and priors determine.
 
@@ -142,8 +138,8 @@ def well_determined(problem: RestProblem, fit: Fit, directions: Floats) -> NDArr
     return found & (variance < (OPEN_SHARE * OPEN_MASS_KG) ** 2)
 
 
-def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
-    """Share of the variance of a mass by source; one-sided rows are friction, other rows and effects are noise."""
+def _budget(problem: RestProblem, fit: Fit, mass: Floats) -> Mapping[str, float]:
+    """Share of the variance of a mass (p,) by source; one-sided rows are friction, other rows and effects are noise."""
     count, axes = len(fit.prior_std), problem.axes
     constants, links, friction, drift = (np.zeros(count) for _ in range(4))
     links[problem.link_part] = 1.0
@@ -154,13 +150,11 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
     noise = np.zeros(count)
     noise[problem.n_common :] = 1.0
     further = np.pad(problem.prior_rows, ((0, 0), (0, count - problem.n_common)))
-    direction = np.zeros(count)
-    direction[mass] = 1.0
     return budget_of(
         fit.noise.whitened_columns(problem, fit.columns),
         Prior(np.zeros(count), fit.prior_std, further, np.zeros(len(further))),
         fit.covariance,
-        direction,
+        mass,
         Sources(
             np.where(problem.group >= 2 * axes, FRICTION, NOISE),
             {

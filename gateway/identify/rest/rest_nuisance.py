@@ -1,4 +1,4 @@
-"""Nuisance parameters at rest, which are part of every hypothesis (`methods.md` 9)."""
+"""Nuisance parameters at rest, which are part of every hypothesis."""
 
 from __future__ import annotations
 

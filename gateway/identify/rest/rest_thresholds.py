@@ -26,17 +26,17 @@ class RestModelThresholds:
         "resolution of a torque word of 1000 steps, rounded off over some visits",
     )
     drift_axis: float = threshold(
-        0.003, "", "drift of an axis's torque reading while the arm warms up", "`methods.md` 11: magnets, some 10 K"
+        0.003, "", "drift of an axis's torque reading while the arm warms up", "assumed: magnets, some 10 K"
     )
-    drift_s: float = threshold(1800.0, "s", "time constant of that drift", "`methods.md` 9: motors warm in 5 to 60 min")
+    drift_s: float = threshold(1800.0, "s", "time constant of that drift", "assumed: motors warm in 5 to 60 min")
     cold: float = threshold(
         0.25,
         "",
         "prior standard deviation of the extra friction when cold, for each time constant",
-        "`methods.md` 9: 0 to 0.5",
+        "assumed: 0 to 0.5",
     )
-    warm_fast_s: float = threshold(600.0, "s", "shorter time constant of the warm-up", "`methods.md` 9: 5 to 60 min")
-    warm_slow_s: float = threshold(2400.0, "s", "the longer", "`methods.md` 9: 5 to 60 min")
+    warm_fast_s: float = threshold(600.0, "s", "shorter time constant of the warm-up", "assumed: 5 to 60 min")
+    warm_slow_s: float = threshold(2400.0, "s", "the longer", "assumed: 5 to 60 min")
 
 
 REST_MODEL: Final = RestModelThresholds()
@@ -53,7 +53,7 @@ class ConflictThresholds:
         "false alarms on clean cells of `make conflict`: at most 2 %",
     )
     dropped: float = threshold(
-        3.0, "", "factor on the stated standard deviation of a group above which it is dropped", "`methods.md` 11"
+        3.0, "", "factor on the stated standard deviation of a group above which it is dropped", "assumed"
     )
     shown: float = threshold(
         2.0, "", "standard deviations above which a torque constant is listed", "one axis in twenty by chance"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from benchmarks.blind.drawn_arm import LOADED_S, POSES, VISIT_S, draw_arm
 from gateway.estimate import estimate
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.outliers import Outliers, find_outliers, outlier_findings, set_aside
@@ -14,7 +15,7 @@ from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import pair_visits
 from sim.blind import scaled
-from sim.draw import LOADED_S, POSES, VISIT_S, choose_poses, draw_arm
+from sim.draw import choose_poses
 from sim.draw_effects import MAKERS, OFF_MAKERS
 from sim.effects import apply_effects
 from sim.offline import PlannedVisit, measure, point_jacobian

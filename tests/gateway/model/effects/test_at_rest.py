@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.blind.drawn_arm import draw_arm
 from gateway.model.effect import RestSetup
 from gateway.model.effects import LIBRARY, terms_at_rest
 from gateway.model.effects.axis_coupling import TorqueMixing
@@ -28,7 +29,7 @@ from gateway.model.rest import Model, neutral
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.unnamed import unnamed_terms
 from gateway.model.visits import Gears, Visits
-from sim.draw import DrawnArm, choose_poses, draw_arm
+from sim.draw import DrawnArm, choose_poses
 from sim.effects import effect_from_dict
 from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 from sim.urdf import write_chain

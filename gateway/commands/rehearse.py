@@ -1,0 +1,110 @@
+"""Command `rehearse`: what a plan would find on a robot, before the robot is there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.commands.console import grid
+from gateway.commands.measure import arm_option
+from gateway.commands.shared_options import (
+    cell_argument,
+    common,
+    effect_names,
+    output_option,
+    recording_file,
+    session_of,
+    write_json,
+)
+from gateway.errors import InputError
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.command()
+@cell_argument
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="REHEARSAL.json",
+    type=FILE,
+    callback=recording_file,
+    help="Answer, written again after each place of an effect.",
+)
+@click.option("--resume", is_flag=True, help="Continue REHEARSAL.json: measure only what is missing.")
+@click.option("--plan", "plan_file", metavar="PLAN.json", type=FILE, help="Plan file; default: the plan of the cell.")
+@click.option("--effects", callback=effect_names, metavar="EFFECT,..", help="Effects to put in; default: all.")
+@click.option(
+    "--clean-arms",
+    type=click.IntRange(min=1),
+    default=24,
+    show_default=True,
+    metavar="N",
+    help="Arms without an effect, for the load and for false names.",
+)
+@output_option("--report", metavar="PAGE.html", help="Write a page with a chart of every effect.")
+@arm_option
+@common
+def rehearse(
+    cell: Path,
+    output: Path,
+    resume: bool,
+    plan_file: Path | None,
+    effects: frozenset[str],
+    clean_arms: int,
+    report: Path | None,
+    arm_name: str | None,
+) -> None:
+    """What a plan would find on this robot: known effects are put into simulated arms, and found again or not.
+
+    Nothing moves, and no bus is needed. Ten minutes on two processors with all effects.
+    """
+    from gateway.commands.pages import write_page
+    from gateway.jobs.rehearse import rehearse as rehearsed
+    from gateway.report.rehearsal_page import (
+        COLUMNS,
+        effect_cells,
+        family_sentence,
+        load_sentence,
+        pair_sentence,
+        render_rehearsal,
+    )
+    from gateway.result.numerals import significant
+    from gateway.result.origin import Origin, in_words, software
+    from gateway.result.seal import refuse_edited, sealed
+    from gateway.result.values import check_kind, json_object, text_of
+
+    session, earlier = session_of(), None
+    if resume:
+        earlier = json_object(text_of(output, "name the file that `rehearse` wrote"), str(output))
+        check_kind(earlier, 1, "rehearsal", str(output))
+        refuse_edited(earlier, str(output), "with `servo-gateway rehearse`")
+    elif output.exists() and not session.replaces:
+        raise InputError(f"{output} exists: continue it with --resume, or replace it with --force")
+    with session.progress(0.0, "rehearsal") as bar:
+
+        def done(body: Mapping[str, Any], places: int, total: int) -> None:
+            write_json(str(output), sealed(body))
+            bar.set(places, total, f"{places} of {total} places")
+
+        answer = rehearsed(cell, arm_name, plan_file, effects, clean_arms, earlier=earlier, done=done)
+    if report is not None:
+        write_page(report, render_rehearsal(answer, Origin(in_words(datetime.now(UTC)), software())))
+    rows = [effect_cells(entry) for entry in answer["effects"]]
+    session.show(grid("effects, and the size from which half of the arms show them by name", COLUMNS, rows, left=5))
+    for family in answer["families"]:
+        session.show(f"{family['name']}: {family_sentence(family)}")
+    for pair in answer["confused"]:
+        session.show(pair_sentence(pair))
+    for name, case in answer["load"].items():
+        if case is not None:
+            session.show(load_sentence(name, case))
+    minutes = significant(answer["time_under_power_s"] / 60.0, 2)
+    session.show(f"time under power, without and with the load: {minutes} min")
+    session.show(f"named on arms without an effect: {answer['false_names']} of {answer['clean_arms']}")
+    session.show(f"{output}: all arms" + ("" if report is None else f"; {report}: page"))
