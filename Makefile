@@ -32,7 +32,7 @@ demo: $(if $(wildcard $(STAMP)),$(STAMP),$(SIM_STAMP))
 
 # Tests in lockstep wait for processes and for the disk: three of them keep two cores busy.
 WORKERS ?= 3
-TESTS := $(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup
+TESTS := $(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup --durations=25 --durations-min=5
 
 # Before every commit: the fast suite.
 test: venv

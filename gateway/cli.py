@@ -37,39 +37,39 @@ CTRL_C = 130
 #: Error numbers of a full disk.
 NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
 
-# command -> (module of gateway.commands, one line of help)
-COMMANDS: dict[str, tuple[str, str]] = {
-    "scan": ("bus", "List the nodes on the bus: identity, firmware, NMT state, profile."),
-    "check": ("bus", "Check the drives against profile and cell file before motion."),
-    "live": ("live", "Show the arms of a cell in a browser; the bus is only read."),
-    "restore": ("bus", "Restore the drive parameters recorded in the write ledger."),
-    "drive": ("drive_test", "Test drives: timing."),
-    "config": ("config", "Drive parameters as DCF files: dump, diff, apply."),
-    "move": ("move", "Move an arm to its home or loading posture, or to joint angles."),
-    "plan": ("measure", "Choose rest poses: limits, duration, expected uncertainty (no bus)."),
-    "record": ("measure", "Measure the rest poses under one load into RUN.h5."),
-    "commission": ("guided", "Guided commissioning, from the check to the report."),
-    "calibrate": ("calibrate", "Calibrate torque constants with a weighed load."),
-    "estimate": ("identification", "Estimate mass and centre of gravity of each load from DATA."),
-    "diagnose": ("identification", "Find the effects that the model lacks, validated on held-out data."),
-    "compare": ("compare", "Compare two results of one robot, before and after service."),
-    "rehearse": ("rehearse", "What a plan would find: known effects put into simulated arms (no bus)."),
-    "cost": ("cost", "Cycle time and torque reserve before and after a load is entered."),
-    "accept": ("accept", "Validate an entered load at unseen poses over the workspace."),
-    "replay": ("replay", "Recompute a stored measurement and list the differences."),
-    "report": ("report_export", "Write an HTML page from a result."),
-    "export": ("report_export", "Export a load for a robot controller, or a recording for other programs."),
-    "import": ("report_export", "Convert the log of another program to a measured table."),
-    "follow": ("follow_command", "Following error without feedforward, with maximum and with identified load."),
-    "teach": ("pair", "Two arms: teach the first function at points with zero force."),
-    "run-pair": ("pair", "Two arms: carry the part along the path and learn from the force."),
-    "learn": ("pair", "Two arms: status of learning; freeze, resume, reset."),
-    "pair-report": ("pair", "Two arms: HTML page with force along the path and convergence."),
-    "fleet": ("fleet", "Monitor many robots over months: ingest, analyse, report."),
-    "cell": ("cell", "Cell files: new, view, schema."),
-    "doctor": ("doctor", "Check this computer: Python, real time, CAN, clock, browser, disk."),
-    "completion": ("completion", "Shell completion for bash, zsh or fish."),
-    "profiles": ("profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
+# command -> (group of the help, module of gateway.commands, one line of help), in the order of the job
+COMMANDS: dict[str, tuple[str, str, str]] = {
+    "scan": ("Look", "bus", "List the nodes on the bus: identity, firmware, NMT state, profile."),
+    "doctor": ("Look", "doctor", "Check this computer: Python, real time, CAN, clock, browser, disk."),
+    "live": ("Look", "live", "Show the arms of a cell in a browser; the bus is only read."),
+    "profiles": ("Look", "profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
+    "cell": ("Prepare", "cell", "Cell files: new, view, schema."),
+    "check": ("Prepare", "bus", "Check the drives against profile and cell file before motion."),
+    "drive": ("Prepare", "drive_test", "Test drives: timing."),
+    "config": ("Prepare", "config", "Drive parameters as DCF files: dump, diff, apply."),
+    "restore": ("Prepare", "bus", "Restore the drive parameters recorded in the write ledger."),
+    "calibrate": ("Prepare", "calibrate", "Calibrate torque constants with a weighed load."),
+    "plan": ("Measure", "measure", "Choose rest poses: limits, duration, expected uncertainty."),
+    "move": ("Measure", "move", "Move an arm to its home or loading posture, or to joint angles."),
+    "record": ("Measure", "measure", "Measure the rest poses under one load into RUN.h5."),
+    "commission": ("Measure", "guided", "Guided commissioning, from the check to the report."),
+    "accept": ("Measure", "accept", "Validate an entered load at unseen poses over the workspace."),
+    "estimate": ("Analyse", "identification", "Estimate mass and centre of gravity of each load from DATA."),
+    "diagnose": ("Analyse", "identification", "Find the effects that the model lacks, validated on held-out data."),
+    "compare": ("Analyse", "compare", "Compare two results of one robot, before and after service."),
+    "rehearse": ("Analyse", "rehearse", "What a plan would find: known effects put into simulated arms."),
+    "cost": ("Analyse", "cost", "Cycle time and torque reserve before and after a load is entered."),
+    "replay": ("Analyse", "replay", "Recompute a stored measurement and list the differences."),
+    "report": ("Hand over", "report_export", "Write an HTML page from a result."),
+    "export": ("Hand over", "report_export", "Export a load for a controller, or a recording for other programs."),
+    "import": ("Hand over", "report_export", "Convert the log of another program to a measured table."),
+    "follow": ("Others", "follow_command", "Following error without, with maximum and with identified load."),
+    "teach": ("Others", "pair", "Two arms: teach the first function at points with zero force."),
+    "run-pair": ("Others", "pair", "Two arms: carry the part along the path, learn from the force."),
+    "learn": ("Others", "pair", "Two arms: status of learning; freeze, resume, reset."),
+    "pair-report": ("Others", "pair", "Two arms: page with force along the path and convergence."),
+    "fleet": ("Others", "fleet", "Monitor many robots over months: ingest, analyse, report."),
+    "completion": ("Others", "completion", "Shell completion for bash, zsh or fish."),
 }
 
 
@@ -86,7 +86,7 @@ class LadderGroup(click.Group):
         del ctx
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"gateway.commands.{COMMANDS[cmd_name][0]}")
+        module = importlib.import_module(f"gateway.commands.{COMMANDS[cmd_name][1]}")
         name = cmd_name.replace("-", "_")
         return getattr(module, f"{name}_" if keyword.iskeyword(name) else name)
 
@@ -106,8 +106,9 @@ class LadderGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""
         del ctx
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+        for group in dict.fromkeys(row[0] for row in COMMANDS.values()):
+            with formatter.section(group):
+                formatter.write_dl([(name, row[2]) for name, row in COMMANDS.items() if row[0] == group])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; handle an interrupt and a closed terminal here instead of in click."""

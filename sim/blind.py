@@ -53,7 +53,7 @@ def scaled(
     arm: DrawnArm, visits: list[PlannedVisit], maker: Maker, wanted: float, rng: np.random.Generator
 ) -> tuple[Effect, float]:
     """An effect whose strength is `wanted`, as far as its physical limit lets it."""
-    return closest(lambda: maker(arm, rng), lambda effect: strength(arm, visits, effect), wanted)
+    return closest(lambda: maker(arm, rng), lambda effect: strength(left_over(arm, visits, effect)), wanted)
 
 
 def closest(
@@ -85,24 +85,38 @@ def closest(
     return best
 
 
-def strength(
+def strength(left: tuple[Array, Array, Array]) -> float:
+    """Projected strength of an effect over the noise floor, as the module text defines it, from what is left of it."""
+    return float(max(np.sqrt(np.mean(part**2, axis=0)).max() for part in left[:2]))
+
+
+def distance(left: tuple[Array, Array, Array]) -> float:
+    """Distance of an effect from anything that links, load and nuisance parameters make, in standard deviations.
+
+    It is the length of all that is left of the rows of a table, and of how far the best parameters are from what is
+    stated (Mahalanobis distance). Half its square is the expected log likelihood ratio.
+    """
+    return float(np.linalg.norm(np.concatenate([part.ravel() for part in left])))
+
+
+def left_over(
     arm: DrawnArm,
     visits: Sequence[PlannedVisit],
     effect: Mapping[str, object],
     gain_std: float | Array = 0.0,
     bias_share: float = 0.0,
-) -> float:
-    """Projected strength of one effect over the noise floor, as the module text defines it.
+) -> tuple[Array, Array, Array]:
+    """Return what is left of an effect of half sums (n, 6) and half differences (n, 6), and the parameters (k,).
 
-    `gain_std` and `bias_share` state one standard deviation of the nuisance parameters that are projected out too.
+    Rows are over the noise floor, the parameters that absorb the rest over their stated standard deviations. `gain_std`
+    and `bias_share` state one standard deviation of the nuisance parameters that are projected out too.
     """
     quiet = replace(arm.protocol, settle=np.zeros(6), resolution_nm=np.zeros(6), samples=1)
     still = replace(arm.plant, reading_noise_nm=np.zeros(6))
     rng = np.random.default_rng(0)
     changed = apply_effects(still, [effect], point_jacobian(arm.chain))
-    eta = arm.efficiency
     with_, without = (
-        _halves(measure(arm.chain, plant, visits, arm.loads, quiet, rng), eta) for plant in (changed, still)
+        _halves(measure(arm.chain, plant, visits, arm.loads, quiet, rng), arm.efficiency) for plant in (changed, still)
     )
     half_sum = (with_[0] - without[0]) / arm.floor_nm
     half_difference = with_[1] - without[1]
@@ -111,21 +125,19 @@ def strength(
     links = gravity_columns(arm.chain, q, arm.plant.gravity_m_s2) / arm.floor_nm[:, None]
     loaded = np.array([visit.load != "none" for visit in visits], dtype=float)
     modelled, band = without[0] / arm.floor_nm, np.ones_like(without[0]) * arm.plant.coulomb_nm / arm.floor_nm
-    every = [gain_std * modelled, bias_share * band]
     columns = [(links * arm.prior_std).reshape(-1, 24)]
-    columns += [(np.eye(6) * part[:, :, None]).reshape(-1, 6) for part in every]
+    columns += [(np.eye(6) * part[:, :, None]).reshape(-1, 6) for part in (gain_std * modelled, bias_share * band)]
     free = 0
     if not arm.known:
         columns.append((links[:, :, 20:] * loaded[:, None, None]).reshape(-1, 4))
         free = 4
-    known = 24 + 6 * len(every)
+    known = 24 + 6 + 6
     prior = np.eye(known, known + free)
     design = np.vstack([np.hstack(columns), prior])
     target = np.append(half_sum.ravel(), np.zeros(known))
     fit, *_ = np.linalg.lstsq(design, target, rcond=None)
-    left = (target - design @ fit)[: half_sum.size].reshape(-1, 6)
-    rms = np.sqrt(np.mean(left**2, axis=0)), np.sqrt(np.mean(half_difference**2, axis=0))
-    return float(max(rms[0].max(), rms[1].max()))
+    left = target - design @ fit
+    return left[: half_sum.size].reshape(-1, 6), half_difference, left[half_sum.size :]
 
 
 def _halves(columns: Mapping[str, NDArray[Any]], efficiency: Array) -> tuple[Array, Array]:

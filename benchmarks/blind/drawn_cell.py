@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.blind.drawn_arm import LOADED_S, POSES, VISIT_S, draw_arm
-from sim.blind import BIAS_SHARE, GAIN_STD, applies, planned, scaled, strength, wanted_strength
+from sim.blind import BIAS_SHARE, GAIN_STD, applies, left_over, planned, scaled, strength, wanted_strength
 from sim.draw import DrawnArm, choose_poses
 from sim.draw_effects import MAKERS, MISTAKES, OFF_MAKERS, Effect
 from sim.effects import apply_effects
@@ -99,7 +99,9 @@ def _draw_truth(arm: DrawnArm, visits: list[PlannedVisit], rng: np.random.Genera
 
 def strength_beyond(arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str, object]) -> float:
     """Strength of one effect beyond gains and biases too; infinite for a mistake of commissioning."""
-    return float("inf") if effect["name"] in MISTAKES else strength(arm, visits, effect, GAIN_STD, BIAS_SHARE)
+    if effect["name"] in MISTAKES:
+        return float("inf")
+    return strength(left_over(arm, visits, effect, GAIN_STD, BIAS_SHARE))
 
 
 def _position_friction(arm: DrawnArm, wanted: float, rng: np.random.Generator) -> tuple[Protocol, float]:

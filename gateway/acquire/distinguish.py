@@ -78,9 +78,9 @@ def effect_columns(
     labels: list[Label | None] = [None] * columns.shape[1]
     labels[problem.load_part(0)] = [("load", ())] * 4
     for label, term in reversed(terms.items()):
-        own = term_columns(problem, at, noise, term, np.array(term.start))[:, : term.count]
-        own = own * spread_of(problem, noise, term, own)[: term.count] / noise.of_rows(problem)[:, None]
-        columns, labels = np.hstack([columns, own]), [*labels, *[label] * term.count]
+        effect = term_columns(problem, at, noise, term, np.array(term.start))[:, : term.count]
+        effect = effect * spread_of(problem, noise, term, effect)[: term.count] / noise.of_rows(problem)[:, None]
+        columns, labels = np.hstack([columns, effect]), [*labels, *[label] * term.count]
     posture = problem.visit % len(q_rad)
     return columns[np.argsort(posture, kind="stable")].reshape(len(q_rad), -1, columns.shape[1]), labels
 
@@ -88,15 +88,15 @@ def effect_columns(
 def strengths(columns: Floats, labels: list[Label | None], names: Collection[str]) -> dict[str, float]:
     """Return the expected strength of each named effect and axis, as `name J2`, over the noise at these postures."""
     information = np.eye(columns.shape[2]) + np.einsum("nri,nrj->ij", columns, columns)
-    found: dict[str, float] = {}
-    for label in dict.fromkeys(each for each in labels if each is not None and each[0] in names):
-        own = np.array([each == label for each in labels])
-        other = np.array([each is None or each[0] != label[0] for each in labels])
-        shared = information[np.ix_(other, own)]
-        gram = information[np.ix_(own, own)] - shared.T @ np.linalg.solve(information[np.ix_(other, other)], shared)
-        strength = max(float(np.trace(gram)) / int(own.sum()) - 1.0, 0.0) ** 0.5
-        found[" ".join([label[0], *(f"J{joint}" for joint in label[1])])] = strength
-    return found
+    out: dict[str, float] = {}
+    for wanted in dict.fromkeys(label for label in labels if label is not None and label[0] in names):
+        part = np.array([label == wanted for label in labels])
+        rest = np.array([label is None or label[0] != wanted[0] for label in labels])
+        shared = information[np.ix_(rest, part)]
+        beyond = information[np.ix_(part, part)] - shared.T @ np.linalg.solve(information[np.ix_(rest, rest)], shared)
+        strength = max(float(np.trace(beyond)) / int(part.sum()) - 1.0, 0.0) ** 0.5
+        out[" ".join([wanted[0], *(f"J{joint}" for joint in wanted[1])])] = strength
+    return out
 
 
 def plan_distinguishing(

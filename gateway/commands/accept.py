@@ -15,6 +15,7 @@ from gateway.commands.guided import recording_in
 from gateway.commands.measure import arm_option, show_plan
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
+    FILE,
     bus_option,
     cell_argument,
     common,
@@ -45,7 +46,7 @@ _RECORDING: Final = "accept.h5"
     "load_file",
     required=True,
     metavar="RESULT.json",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="Result of this arm, or CELL.loads.json#LABEL: the load as entered, and the unloaded arm.",
 )
 @click.option("--label", metavar="LABEL", help="Load of the result, if it holds several.")

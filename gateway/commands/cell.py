@@ -14,6 +14,7 @@ from drives.files import replace_file
 from gateway.commands.console import findings_table, grid
 from gateway.commands.measure import arm_option
 from gateway.commands.shared_options import (
+    FILE,
     cell_argument,
     common,
     json_option,
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
     from gateway.newcell.interview import Draft
     from gateway.newcell.questions import CellQuestion
     from gateway.result.result import Finding
-
-
-FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.group()

@@ -9,13 +9,11 @@ import click
 
 from gateway.commands.console import grid
 from gateway.commands.repeat import judge_repeated, show_comparison, show_page
-from gateway.commands.shared_options import common, json_option, output_option
+from gateway.commands.shared_options import FILE, common, json_option, output_option
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
     from gateway.result.compare import Tolerance
-
-RESULT = click.Path(path_type=Path, dir_okay=False)
 
 
 def _tolerance(_ctx: click.Context, _param: click.Parameter, value: str | None) -> dict[str, Tolerance]:
@@ -25,7 +23,7 @@ def _tolerance(_ctx: click.Context, _param: click.Parameter, value: str | None) 
 
 
 @click.command()
-@click.argument("files", metavar="A.json B.json ..", type=RESULT, nargs=-1, required=True)
+@click.argument("files", metavar="A.json B.json ..", type=FILE, nargs=-1, required=True)
 @click.option(
     "--repeated",
     is_flag=True,

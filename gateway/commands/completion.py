@@ -5,14 +5,14 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from gateway.commands.shared_options import common, one_of
+from gateway.commands.shared_options import common
 from gateway.errors import ConfigError
 
 SHELLS = ("bash", "zsh", "fish")
 
 
 @click.command()
-@click.argument("shell", type=one_of(SHELLS))
+@click.argument("shell", type=click.Choice(SHELLS))
 @common
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:

@@ -12,6 +12,7 @@ import click
 from gateway.commands.console import Session, axis_names, grid, number
 from gateway.commands.measure import arm_option
 from gateway.commands.shared_options import (
+    FILE,
     PATH_AXES,
     cell_argument,
     common,
@@ -24,7 +25,6 @@ from gateway.commands.shared_options import (
 if TYPE_CHECKING:
     from gateway.cost.job import LoadCost, MoveCost, SegmentCost
 
-FILE = click.Path(path_type=Path, dir_okay=False)
 #: Segments of a path that are listed at most; --json has all of them.
 MOST_LISTED = 40
 #: A smaller change of the cycle time counts as none.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from drives.files import replace_file
-from gateway.commands.shared_options import common, json_option, refuse_to_replace, session_of, write_json, writes
+from gateway.commands.shared_options import FILE, common, json_option, refuse_to_replace, session_of, write_json, writes
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ STORE = click.argument("store", type=click.Path(path_type=Path, file_okay=False)
 #: Number of robots listed at the terminal.
 NAMED = 10
 INDEX = "index.html"
-PEM = click.Path(path_type=Path, dir_okay=False)
 #: Warning for a scheduler without TLS.
 UNAUTHENTICATED = (
     "--scheduler without TLS: tasks and results are unauthenticated, unencrypted pickles; anyone with access to the "
@@ -66,9 +65,9 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
     metavar="ADDRESS",
     help="Dask scheduler, tls://HOST:PORT (tcp:// is not authenticated); default: processes on this machine.",
 )
-@click.option("--tls-ca-file", type=PEM, metavar="PEM", help="With tls://: certificate of the authority.")
-@click.option("--tls-cert", type=PEM, metavar="PEM", help="With tls://: certificate of this program.")
-@click.option("--tls-key", type=PEM, metavar="PEM", help="With tls://: key of that certificate.")
+@click.option("--tls-ca-file", type=FILE, metavar="PEM", help="With tls://: certificate of the authority.")
+@click.option("--tls-cert", type=FILE, metavar="PEM", help="With tls://: certificate of this program.")
+@click.option("--tls-key", type=FILE, metavar="PEM", help="With tls://: key of that certificate.")
 @click.option(
     "--workers", "count", type=click.IntRange(1), help="Processes on this machine; default: one per processor."
 )

@@ -17,6 +17,7 @@ from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.pages import write_page
 from gateway.commands.result_output import fail_on_findings
 from gateway.commands.shared_options import (
+    FILE,
     PATH_AXES,
     bus_option,
     cell_argument,
@@ -34,8 +35,6 @@ from gateway.commands.shared_options import (
 if TYPE_CHECKING:
     from gateway.follow.settings import Prepared
     from gateway.result.follow import FollowResult
-
-FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command()

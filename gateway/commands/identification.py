@@ -13,6 +13,7 @@ from gateway.commands.measure import arm_option
 from gateway.commands.replay import archive_option, store
 from gateway.commands.result_output import fail_on_findings, show_result, write_junit
 from gateway.commands.shared_options import (
+    FILE,
     Function,
     accept_options,
     common,
@@ -22,7 +23,6 @@ from gateway.commands.shared_options import (
     known_loads,
     model_options,
     note_remarks,
-    one_of,
     operator_option,
     session_of,
     write_json,
@@ -128,10 +128,9 @@ def _analysed(
 @click.command()
 @click.option(
     "--method",
-    type=one_of(("joint", "difference", "posture", "coefficient")),
     default="joint",
     show_default=True,
-    help="Estimator.",
+    help="joint, difference, posture or coefficient.",
 )
 @click.option("--axis", type=click.IntRange(1, MOST_AXES), help="coefficient: the axis to use.")
 @click.option(
@@ -159,7 +158,10 @@ def estimate(
 ) -> None:
     """Estimate mass and centre of gravity of each unknown load, with 95 % intervals; name what is not identifiable."""
     from gateway.api.analysis import estimated
-    from gateway.estimate import Coefficient
+    from gateway.estimate import METHODS, Coefficient
+
+    if method not in METHODS:
+        raise click.BadParameter(f"'{method}' is not one of {', '.join(METHODS)}", param_hint="--method")
 
     def analyse(about: AnalysisInputs, table: Table) -> Result:
         coefficient = None
@@ -175,18 +177,11 @@ def estimate(
         with session_of().working("estimation"):
             return estimated(about, table, method, coefficient)
 
-    if shared["parts"] and method != "joint":
-        raise click.UsageError(f"--part needs --method joint: method {method} fits each load alone")
     _analysed(analyse, (), **shared)
 
 
 @click.command()
-@click.option(
-    "--holdout",
-    multiple=True,
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Data for validation only; not used in any fit.",
-)
+@click.option("--holdout", multiple=True, type=FILE, help="Data for validation only; not used in any fit.")
 @click.option("--only", callback=effect_names, metavar="EFFECT,..", help="Try only these effects.")
 @click.option("--without", callback=effect_names, metavar="EFFECT,..", help="Do not try these effects.")
 @analysis_options

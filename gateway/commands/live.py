@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gateway.commands.shared_options import bus_option, cell_argument, common, session_of
+from gateway.commands.shared_options import FILE, bus_option, cell_argument, common, session_of
 
 
 @click.command()
@@ -20,7 +20,7 @@ from gateway.commands.shared_options import bus_option, cell_argument, common, s
 @click.option(
     "--constants",
     "recording",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="RUN.h5",
     help="Constants of the drives, for pages opened later.",
 )

@@ -13,6 +13,7 @@ from gateway.commands.console import axis_names, axis_table, grid
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.plan_moving import moving_plan_options, show_assumed, show_moving_plan
 from gateway.commands.shared_options import (
+    FILE,
     KNOWN_FORM,
     KNOWN_HELP,
     bus_option,
@@ -181,7 +182,7 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     "--output",
     required=True,
     metavar="RUN.h5",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     callback=recording_file,
     help="Recording to write; an existing one is never replaced.",
 )
@@ -200,14 +201,14 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     "--next",
     "result",
     metavar="RESULT.json",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="Measure the poses that a result of this arm proposes.",
 )
 @until_option
 @click.option(
     "--bare",
     metavar="RESULT.json",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="With --until: stored result of the unloaded arm, if the recording has no unloaded visit.",
 )
 @click.option(
@@ -224,7 +225,7 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     "--plan",
     "moving_plan",
     metavar="PLAN.json",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="With --moving: plan file written by `plan --moving --json`.",
 )
 @click.option(

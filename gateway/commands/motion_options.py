@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from gateway.commands.shared_options import Function, confirm, one_of, session_of
+from gateway.commands.shared_options import Function, confirm, session_of
 from gateway.jobs import SLOW_PERCENT
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _with_move(function: Function, percent: int) -> Function:
         click.option("--yes", is_flag=True, help="Do not ask before moving."),
         click.option(
             "--pacing",
-            type=one_of(["lockstep", "real"]),
+            type=click.Choice(["lockstep", "real"]),
             help="Overrides that of the cell; lockstep only with the simulator.",
         ),
         click.option("--hold-to-run", is_flag=True, help="Move only while a key is held (no enabling device)."),

@@ -19,7 +19,6 @@ from gateway.commands.shared_options import (
     cell_argument,
     common,
     json_option,
-    one_of,
     output_option,
     reserve,
     session_of,
@@ -211,7 +210,7 @@ def _cycle_line(summary: CycleSummary) -> str:
 
 
 @click.command()
-@click.argument("action", type=one_of(["status", "freeze", "resume", "reset"]))
+@click.argument("action", type=click.Choice(["status", "freeze", "resume", "reset"]))
 @cell_argument
 @store_option
 @json_option

@@ -11,6 +11,7 @@ import click
 from drives.files import replace_file
 from gateway.commands.bus import DEFAULT_BUS
 from gateway.commands.shared_options import (
+    FILE,
     common,
     json_option,
     key_values,
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from drives.draft.questions import Question
     from drives.profile import DriveProfile
 
-FILE = click.Path(path_type=Path, dir_okay=False)
 #: Number of hints printed with an open question.
 HINTS_SHOWN = 1
 

@@ -12,6 +12,7 @@ import click
 from gateway.commands.console import grid
 from gateway.commands.measure import arm_option
 from gateway.commands.shared_options import (
+    FILE,
     cell_argument,
     common,
     effect_names,
@@ -21,8 +22,6 @@ from gateway.commands.shared_options import (
     write_json,
 )
 from gateway.errors import InputError
-
-FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command()
@@ -62,18 +61,11 @@ def rehearse(
 ) -> None:
     """What a plan would find on this robot: known effects are put into simulated arms, and found again or not.
 
-    Nothing moves, and no bus is needed. Ten minutes on two processors with all effects.
+    Nothing moves, and no bus is needed. A quarter of an hour on two processors with all effects.
     """
     from gateway.commands.pages import write_page
     from gateway.jobs.rehearse import rehearse as rehearsed
-    from gateway.report.rehearsal_page import (
-        COLUMNS,
-        effect_cells,
-        family_sentence,
-        load_sentence,
-        pair_sentence,
-        render_rehearsal,
-    )
+    from gateway.report import rehearsal_page
     from gateway.result.numerals import significant
     from gateway.result.origin import Origin, in_words, software
     from gateway.result.seal import refuse_edited, sealed
@@ -94,16 +86,16 @@ def rehearse(
 
         answer = rehearsed(cell, arm_name, plan_file, effects, clean_arms, earlier=earlier, done=done)
     if report is not None:
-        write_page(report, render_rehearsal(answer, Origin(in_words(datetime.now(UTC)), software())))
-    rows = [effect_cells(entry) for entry in answer["effects"]]
-    session.show(grid("effects, and the size from which half of the arms show them by name", COLUMNS, rows, left=5))
+        write_page(report, rehearsal_page.render_rehearsal(answer, Origin(in_words(datetime.now(UTC)), software())))
+    rows, head = [rehearsal_page.effect_cells(entry) for entry in answer["effects"]], rehearsal_page.COLUMNS
+    session.show(grid("effects, and the size from which half of the arms show them by name", head, rows, left=5))
     for family in answer["families"]:
-        session.show(f"{family['name']}: {family_sentence(family)}")
+        session.show(f"{family['name']}: {rehearsal_page.family_sentence(family)}")
     for pair in answer["confused"]:
-        session.show(pair_sentence(pair))
+        session.show(rehearsal_page.pair_sentence(pair))
     for name, case in answer["load"].items():
         if case is not None:
-            session.show(load_sentence(name, case))
+            session.show(rehearsal_page.load_sentence(name, case))
     minutes = significant(answer["time_under_power_s"] / 60.0, 2)
     session.show(f"time under power, without and with the load: {minutes} min")
     session.show(f"named on arms without an effect: {answer['false_names']} of {answer['clean_arms']}")

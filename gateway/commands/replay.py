@@ -20,7 +20,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import Session, grid
-from gateway.commands.shared_options import common, json_option, output_option, session_of, write_json
+from gateway.commands.shared_options import FILE, common, json_option, output_option, session_of, write_json
 from gateway.errors import FindingFailed, GatewayError, InputError
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def _named_by(loaded: LoadedCell) -> Iterator[Path]:
 
 
 @click.command()
-@click.argument("file", metavar="FILE.zip", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("file", metavar="FILE.zip", type=FILE)
 @json_option
 @common
 def replay(file: Path, json_out: str | None) -> None:

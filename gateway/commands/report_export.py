@@ -10,18 +10,16 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.measure import arm_option
-from gateway.commands.shared_options import common, json_option, one_of, output_option, session_of, write_json
+from gateway.commands.shared_options import FILE, common, json_option, output_option, session_of, write_json
 from gateway.result.names import CERTIFICATE_FORMAT, EXPORT_FORMATS, RECORDING_FORMATS, TABLE_FORMAT
 
 if TYPE_CHECKING:
     from gateway.formats.log_map import LogMap
     from gateway.result.result import Result
 
-RESULT = click.Path(path_type=Path, dir_okay=False)
-
 
 @click.command()
-@click.argument("result", metavar="OUT.json|RUN.h5", type=RESULT)
+@click.argument("result", metavar="OUT.json|RUN.h5", type=FILE)
 @output_option(
     "-o",
     "--output",
@@ -73,12 +71,12 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
 
 
 @click.command()
-@click.argument("result", metavar="OUT.json|CELL.loads.json|RUN.h5", type=RESULT)
+@click.argument("result", metavar="OUT.json|CELL.loads.json|RUN.h5", type=FILE)
 @click.option(
     "--format",
     "fmt",
     required=True,
-    type=one_of([*EXPORT_FORMATS, CERTIFICATE_FORMAT, *RECORDING_FORMATS]),
+    type=click.Choice([*EXPORT_FORMATS, CERTIFICATE_FORMAT, *RECORDING_FORMATS]),
     help=f"Output format; for RUN.h5 {', '.join(RECORDING_FORMATS)}.",
 )
 @click.option("--load", "label", metavar="LABEL", help="Export only this load.")
@@ -165,13 +163,13 @@ def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], out
 
 
 @click.command("import")
-@click.argument("log", metavar="FILE", type=RESULT)
+@click.argument("log", metavar="FILE", type=FILE)
 @click.option(
     "--map",
     "map_file",
     required=True,
     metavar="MAP.toml|NAME",
-    type=RESULT,
+    type=FILE,
     help="Map file of the columns; or a built-in map: ur-rtde, kuka-rsi, abb-egm, ros-joint-states.",
 )
 @click.option("--load", "label", metavar="LABEL", help="Load of all rows.")

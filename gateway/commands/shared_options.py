@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from gateway.model.robot import Robot
     from gateway.pipeline.known import KnownLoad
     from gateway.result.acceptance import Expected
+#: A file on the command line.
+FILE = click.Path(path_type=Path, dir_okay=False)
 
 #: Number of axes that path files, the torque along a path and their reports support.
 PATH_AXES = 6
@@ -153,8 +155,7 @@ _force = click.option(
 
 def output_option(*names: str, metavar: str, help: str, required: bool = False) -> Callable[[Function], Function]:
     """Return an option for a file to write, with --force."""
-    kind = click.Path(path_type=Path, dir_okay=False)
-    return writes(click.option(*names, type=kind, metavar=metavar, required=required, callback=new_file, help=help))
+    return writes(click.option(*names, type=FILE, metavar=metavar, required=required, callback=new_file, help=help))
 
 
 def measurement_options(data: str, recording: str) -> Callable[[Function], Function]:
@@ -170,7 +171,7 @@ def measurement_options(data: str, recording: str) -> Callable[[Function], Funct
             "data",
             multiple=True,
             metavar="DATA",
-            type=click.Path(path_type=Path, dir_okay=False),
+            type=FILE,
             help=f"Recordings or tables {data}; nothing moves. Repeatable.",
         )(command)
 
@@ -243,7 +244,7 @@ bus_option = click.option(
     metavar="SPEC",
     help="Bus to use instead of that of the cell file; NAME=SPEC;NAME=SPEC for a cell with several buses.",
 )
-cell_argument = click.argument("cell", type=click.Path(path_type=Path, dir_okay=False))
+cell_argument = click.argument("cell", type=FILE)
 
 
 warm_option = click.option(
@@ -265,9 +266,7 @@ def model_options(function: Function) -> Function:
             "for tables.",
         ),
         warm_option,
-        click.option(
-            "--bare", type=click.Path(path_type=Path, dir_okay=False), help="Stored result of the unloaded arm."
-        ),
+        click.option("--bare", type=FILE, help="Stored result of the unloaded arm."),
         click.option(
             "--known",
             multiple=True,
@@ -279,9 +278,9 @@ def model_options(function: Function) -> Function:
             metavar="exact|prior:S|ignore",
             help="Relative standard deviation of the link inertials in the URDF.",
         ),
-        click.option("--cell", "cell_file", type=click.Path(path_type=Path, dir_okay=False), help="Cell file."),
+        click.option("--cell", "cell_file", type=FILE, help="Cell file."),
         click.option("--tip", metavar="LINK", help="Last link of the arm in the URDF; other joints are fixed at zero."),
-        click.option("--robot", type=click.Path(path_type=Path, dir_okay=False), help="Robot as URDF."),
+        click.option("--robot", type=FILE, help="Robot as URDF."),
     ):
         function = option(function)
     return function
@@ -305,7 +304,7 @@ def known_loads(texts: Sequence[str]) -> dict[str, KnownLoad]:
     return known
 
 
-data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False))
+data_argument = click.argument("data", nargs=-1, required=True, type=FILE)
 
 
 def note_remarks(robot: Robot | None) -> None:
@@ -504,11 +503,6 @@ def joint_angles(text: str, session: Session) -> tuple[float, ...]:
     if max(map(abs, values)) > LARGEST_ANGLE_RAD:
         raise click.BadParameter(f"'{text}': these values are too large for radians: add --unit deg for degrees")
     return values
-
-
-def one_of(names: Sequence[str]) -> click.Choice[str]:
-    """Return a choice among names, with exact spelling."""
-    return click.Choice(list(names))
 
 
 def effect_names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> frozenset[str]:

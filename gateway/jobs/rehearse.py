@@ -4,10 +4,11 @@ The simulator (`servo-sim rehearse`) draws arms within the statements of the cel
 measures them at the poses of the plan. Each table goes through the same analysis as that of a real arm. Counted is
 which effects are named, from which strength on, what they are confused with, and how well the load is known.
 
-The strength of an effect is the root mean square of what links, load, torque constants and friction bias cannot take
-over. It is given over the noise of a visit, on the axis where it is largest. The first arm has the effect at
-`FIRST_STRENGTH`; the next ones close in on the strength from which it is named. The chance to be named is a logistic
-function of the logarithm of the strength, with one slope for all effects and a detection strength for each.
+The strength of an effect is its distance from all that links, load, torque constants and friction bias can take over
+within what the cell states. Its unit is the standard deviation of the whole table (Mahalanobis distance), so that half
+its square is the expected log likelihood ratio. The first arm has the effect at `FIRST_STRENGTH`; each further one at
+the strength from which it is named, as far as that is known by then. The chance to be named is a logistic function of
+the logarithm of the strength, with one slope for all effects and a detection strength for each.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import tempfile
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,7 +40,8 @@ from gateway.diagnose import diagnose
 from gateway.errors import ConfigError, GatewayError, InputError
 from gateway.estimate import run as estimate_run
 from gateway.identify.knowledge import WeighedLoad
-from gateway.model.arm_model import arm_named, arm_robot
+from gateway.model.arm_model import arm_named
+from gateway.model.effects import MISTAKES
 from gateway.motion.assumed import reference_load
 from gateway.motion.workspace import workspace_of
 from gateway.pipeline.calibrate import calibrate
@@ -53,17 +55,19 @@ from gateway.result.values import json_object, text_of
 Floats = NDArray[np.float64]
 Run = dict[str, Any]
 
-#: Arms of a place, strength in the first one, factors on it while none was named, and while all were.
+#: Arms of a place, and at least of an effect; strength in the first one, factors on it while none was named, and while
+#: all were.
 ARMS: Final = 3
-FIRST_STRENGTH: Final = 3.0
-UP: Final = 4.0
+ARMS_OF_EFFECT: Final = 9
+FIRST_STRENGTH: Final = 6.0
+UP: Final = 3.0
 DOWN: Final = 0.4
 #: Usual number of arms without an effect, and most places at which an effect without a size (a mistake) is tried.
 CLEAN_ARMS: Final = 24
 MISTAKE_PLACES: Final = 6
 #: Prior of the logarithm of a detection strength, and of that of the slope: mean and standard deviation.
-_STRENGTH_PRIOR: Final = (np.log(2.0), 1.5)
-_SLOPE_PRIOR: Final = (np.log(4.0), 0.5)
+_STRENGTH_PRIOR: Final = (np.log(6.0), 1.0)
+_SLOPE_PRIOR: Final = (np.log(5.0), 0.2)
 #: Relative standard deviation of the links where the cell ignores them; of the weighed mass of a calibration.
 _UNKNOWN_LINKS: Final = 0.1
 _WEIGHED: Final = 0.001
@@ -137,36 +141,38 @@ def rehearse(
             raise InputError(
                 f"{plan_file}: holds no rest poses of {len(config.axis)} axes; write it by `plan CELL --json PLAN.json`"
             )
-    workspace = workspace_of(config, arm_robot(loaded, config))
     about = collect_inputs(ModelRequest(cell=cell, arm=config.name, calibrated=False), ())
+    asked = {
+        "q_rad": [list(posture) for posture in q_rad],
+        "visit_s": duration_s / len(q_rad),
+        "largest_kg": reference_load(workspace_of(config, about.model), np.array(q_rad))[0],
+        "link_std": min(about.knowledge.trust, _UNKNOWN_LINKS),
+        "gain_std": list(about.knowledge.gain_std or ()),
+    }
     head: dict[str, Any] = {
         "schema": 1,
         "kind": "rehearsal",
         "robot": about.model.name,
         "arm": config.name,
         "cell_sha256": hashlib.sha256(loaded.text.encode()).hexdigest(),
-        "plan": {"q_rad": [list(posture) for posture in q_rad], "duration_s": duration_s},
-    }
-    stated = {
-        "q_rad": head["plan"]["q_rad"],
-        "visit_s": duration_s / len(q_rad),
-        "largest_kg": reference_load(workspace, np.array(q_rad))[0],
-        "link_std": min(about.knowledge.trust, _UNKNOWN_LINKS),
-        "gain_std": list(about.knowledge.gain_std or ()),
+        "plan": asked | {"duration_s": duration_s},
     }
     if earlier is not None and any(earlier.get(key) != head[key] for key in ("cell_sha256", "arm", "plan")):
         raise InputError("the rehearsal that is continued is of another cell file, arm or plan: begin a new one")
     runs: list[Run] = list(earlier["runs"]) if earlier is not None else []
-    tasks: list[tuple[str | None, list[int], int]] = [(None, [], number) for number in range(clean_arms)]
+    tasks: list[tuple[str | None, list[int], int, int]] = [(None, [], number, 1) for number in range(clean_arms)]
     for number, (name, joints) in enumerate(places.items(), start=1):
-        few = joints[:: -(-len(joints) // MISTAKE_PLACES)] if name in FAMILIES["wiring and settings"] else joints
-        tasks += [(name, at, 1000 * number + 10 * k) for k, at in enumerate(few) if not effects or name in effects]
+        few = joints[:: -(-len(joints) // MISTAKE_PLACES)] if name in MISTAKES else joints
+        arms = max(ARMS, -(-ARMS_OF_EFFECT // len(few)))
+        tasks += [
+            (name, at, 1000 * number + 10 * k, arms) for k, at in enumerate(few) if not effects or name in effects
+        ]
     finished = {run["seed"] for run in runs}
     remaining = [task for task in tasks if task[2] not in finished]
     # the arms are independent: one process a processor, each with one thread of linear algebra
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with multiprocessing.get_context("spawn").Pool(None, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        measure = partial(_place, cell, config.name, stated)
+        measure = partial(_place, cell, config.name, head["plan"])
         for number, place_runs in enumerate(pool.imap_unordered(measure, remaining), start=1):
             runs += place_runs
             done(head | summary(runs, duration_s), len(tasks) - len(remaining) + number, len(tasks))
@@ -182,41 +188,69 @@ def _simulated(cell: Path, arm: str, request: Mapping[str, Any]) -> dict[str, An
     return json.loads(ended.stdout)
 
 
-def _place(cell: Path, arm: str, stated: Mapping[str, Any], task: tuple[str | None, list[int], int]) -> list[Run]:
+def _place(cell: Path, arm: str, plan: Mapping[str, Any], task: tuple[str | None, list[int], int, int]) -> list[Run]:
     """Draw, measure and diagnose the arms of one place of an effect, or one arm without effect; return their runs."""
-    effect, joints, seed = task
+    effect, joints, seed, arms = task
     about = collect_inputs(ModelRequest(cell=cell, arm=arm, calibrated=False), ())
-    choice = cache(partial(postures, about))
     runs: list[Run] = []
+    strength = FIRST_STRENGTH
+    for attempt in range(arms):
+        run = drawn_run(about, plan, partial(_simulated, cell, arm), seed + attempt, effect, joints, strength)
+        runs.append(run)
+        if run["strength"] is None:
+            break
+        tried, named = (np.array([run[key] for run in runs]) for key in ("strength", "named"))
+        strength = float(DOWN * tried.min() if named.all() else UP * tried.max())
+        if named.any() and not named.all():
+            strength = float(np.exp(detection(tried, np.zeros(len(runs), dtype=int), named)[0][0]))
+    return runs
+
+
+def drawn_run(
+    about: AnalysisInputs,
+    plan: Mapping[str, Any],
+    simulate: Callable[[Mapping[str, Any]], Mapping[str, Any]],
+    seed: int,
+    effect: str | None,
+    joints: list[int],
+    strength: float,
+) -> Run:
+    """Draw an arm, measure it by a plan, and diagnose it.
+
+    Parameters
+    ----------
+    about : AnalysisInputs
+        Of the cell, without a calibration.
+    plan : mapping
+        `q_rad` of the poses, `visit_s`, `largest_kg` of the loads, `link_std` and `gain_std`, as `rehearse` answers.
+    simulate : callable
+        Answers a request as `servo-sim rehearse` does.
+    seed : int
+    effect, joints, strength
+        What is built in; None, [] and any number for an arm without an effect, which is calibrated too.
+    """
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "table.csv"
-        request = {**stated, "table": str(table), "load": 0, "effect": effect, "joints": joints}
-        strength, below, above = FIRST_STRENGTH, 0.0, np.inf
-        for attempt in range(ARMS if effect is not None else 1):
-            request |= {"seed": seed + attempt, "strength": strength}
-            truth = _simulated(cell, arm, request)
-            run: Run = {"effect": effect, "joints": joints, "seed": seed + attempt, "refused": None} | truth
-            try:
-                result = diagnose(read_rows([table], about), about.model, about.knowledge, pose_choice=choice)
-            except GatewayError as error:
-                run |= {"verdict": "refused", "found": [], "next": None, "estimate": None, "refused": str(error)}
-            else:
-                names = [[named.name, list(named.joints)] for named in result.effects]
-                poses = [measurement.poses_rad for measurement in result.next if measurement.poses_rad]
-                run |= {"verdict": result.verdict, "found": names, "next": poses[0] if poses else None}
-                run["estimate"] = _against(result.loads, truth)
-            run["listed"] = [effect, joints] in run["found"]
-            run["named"] = run["listed"] and run["verdict"] != "undecided"
-            if effect is None:
-                other = partial(_simulated, cell, arm, request | {"load": 1})
-                run["calibrated"] = _with_calibration(about, table, truth, other)
-            runs.append(run)
-            if truth["strength"] is None:
-                break
-            below, above = (below, truth["strength"]) if run["named"] else (truth["strength"], above)
-            strength = DOWN * above if below == 0.0 else UP * below
-            strength = float(np.sqrt(below * above)) if 0.0 < below < above < np.inf else strength
-    return runs
+        request = {**plan, "table": str(table), "seed": seed, "load": 0, "effect": effect, "joints": joints}
+        request |= {"strength": strength}
+        truth = simulate(request)
+        run: Run = {"effect": effect, "joints": joints, "seed": seed, "refused": None, **truth}
+        try:
+            choice = partial(postures, about)
+            result = diagnose(read_rows([table], about), about.model, about.knowledge, pose_choice=choice)
+        except GatewayError as error:
+            run |= {"verdict": "refused", "found": [], "next": None, "estimate": None, "refused": str(error)}
+        else:
+            names = [[named.name, list(named.joints)] for named in result.effects]
+            poses = [measurement.poses_rad for measurement in result.next if measurement.poses_rad]
+            run |= {"verdict": result.verdict, "found": names, "next": poses[0] if poses else None}
+            run["estimate"] = _against(result.loads, truth)
+        run["listed"] = [effect, joints] in run["found"]
+        run["named"] = run["listed"] and run["verdict"] != "undecided"
+        if effect is None:
+            other = partial(simulate, request | {"load": 1})
+            run["calibrated"] = _with_calibration(about, table, truth, other)
+    return run
 
 
 def _against(loads: Iterable[LoadResult], truth: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -252,14 +286,13 @@ def _with_calibration(
     try:
         calibration = calibrate(read_rows([table], about), with_weight, reference, (), datetime.now(UTC), lambda: None)
         scale, std = np.ones(about.model.axes), np.full(about.model.axes, np.nan)
-        for axis in calibration.axes:
-            if axis.is_known:
-                scale[axis.joint - 1], std[axis.joint - 1] = axis.scale, axis.std
+        for axis in calibration.stored.axis:
+            scale[axis.joint - 1], std[axis.joint - 1] = axis.torque_scale, axis.std_percent / 100.0
         constants = Calibrated(scale, std)
         knowledge = replace(
             about.knowledge,
             gain_std=constants.gain_std(about.knowledge.gain_std or ()),
-            measured_gain=tuple(np.isfinite(std).tolist()),
+            measured_gain=tuple(np.isfinite(constants.std).tolist()),
         )
         truth, after = use(), replace(about, knowledge=knowledge, calibrated=constants)
         result = estimate_run(read_rows([table], after), after.model, knowledge, "joint", pose_choice=None)

@@ -22,7 +22,7 @@ COLUMNS: Final = ("effect", "on", "named from", "largest plausible", "strength (
 CASES: Final = {"as_stated": "constants as stated", "calibrated": "constants calibrated with a weighed load"}
 _WIDTH, _ROW, _MARGIN = 560.0, 30.0, 46.0
 #: Strengths with a label on the axis of the charts.
-_TICKS: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+_TICKS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 
 
 def render_rehearsal(answer: Mapping[str, Any], origin: Origin) -> str:
@@ -104,7 +104,7 @@ def effect_chart(entries: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[st
     for tick in _TICKS:
         panel.segment((math.log10(tick), -0.5), (math.log10(tick), len(sized) - 0.5), "grid")
         panel.text(panel.x(math.log10(tick)), panel.height - 26, f"{tick:g}", "tick mid")
-    panel.x_label("strength over the noise of a visit")
+    panel.x_label("strength [standard deviations]")
     for row, entry in enumerate(reversed(sized)):
         panel.text(panel.left - 8, panel.y(row) + 4, axes(entry["joints"]) or "all", "name end")
         if entry["named"]:

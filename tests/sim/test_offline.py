@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.blind.drawn_arm import draw_arm
 from benchmarks.blind.drawn_cell import draw_cell
-from sim.blind import strength
+from sim.blind import distance, left_over, strength
 from sim.offline import PlannedVisit, Protocol, gravity_columns, half_floor, measure, statics
 from sim.plant import Payload, nominal_plant
 from sim.urdf import read_chain
@@ -139,9 +139,10 @@ def test_a_seed_gives_the_same_cell_and_strength_scales():
     first, second = draw_cell(14), draw_cell(14)
     np.testing.assert_array_equal(first.measure(first.visits)["tau_nm"], second.measure(second.visits)["tau_nm"])
     assert first.truth == second.truth
+    zero = {"name": "joint_zero_offset", "joints": [2]}
     weak, strong = (
-        strength(first.arm, first.visits, {"name": "joint_zero_offset", "joints": [2], "parameters": {"offset_rad": v}})
-        for v in (0.001, 0.01)
+        strength(left_over(first.arm, first.visits, zero | {"parameters": {"offset_rad": size}}))
+        for size in (0.001, 0.01)
     )
     assert strong == pytest.approx(10 * weak, rel=0.05)
 
@@ -151,4 +152,8 @@ def test_a_uniform_offset_has_the_strength_of_its_part_off_the_base():
     size = 10 * float(cell.arm.floor_nm[0])
     offset = {"name": "torque_offset", "joints": [1], "parameters": {"offset_nm": size}}
     # axis 1 is vertical: no link or load can take an offset over
-    assert strength(cell.arm, cell.visits, offset) == pytest.approx(10.0, rel=0.05)
+    assert strength(left_over(cell.arm, cell.visits, offset)) == pytest.approx(10.0, rel=0.05)
+    # the bias of friction can: one unknown b in n rows, of unit variance as the rows
+    n, bias = len(cell.visits), 0.1 * float(cell.arm.plant.coulomb_nm[0] / cell.arm.floor_nm[0])
+    expected = 10.0 * np.sqrt(n / (1.0 + n * bias**2))
+    assert distance(left_over(cell.arm, cell.visits, offset, 0.03, 0.1)) == pytest.approx(expected, rel=0.02)

@@ -124,7 +124,7 @@ def test_before_the_robot_as_typed(tmp_path, monkeypatch):
     out = tmp_path / "out" / "before"
     body = json.loads((out / "rehearsal.json").read_text(encoding="utf-8"))
     assert {entry["name"] for entry in body["effects"]} == {"base_tilt", "payload_shift"}
-    assert len(body["runs"]) == 4 + 2 * 3
+    assert len(body["runs"]) == 4 + 2 * 9
     plans = [json.loads((out / name).read_text(encoding="utf-8")) for name in ("plan.json", "plan-2.json")]
     assert len(plans[0]["poses"]) == len(plans[1]["poses"])
     assert body["time_under_power_s"] == pytest.approx(2.0 * plans[0]["duration_s"])

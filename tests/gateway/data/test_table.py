@@ -296,16 +296,6 @@ def test_measured_runs_load(measured_data, name, rows, moving):
     assert np.isfinite(table.tau_nm).all()
 
 
-@pytest.mark.data
-def test_paper_table_loads(measured_data):
-    table = read_csv(measured_data / "qh165" / "table2.csv", conversion(ratio=np.full(6, 210.0)))
-    assert len(table) == 30
-    assert not table.moving.any()
-    assert sorted(set(table.load)) == ["a", "b", "none"]
-    assert table.tau_nm[0, 1] == pytest.approx(7.74 * 210)
-    assert table.extra["x_k2_m"][8] == -0.62
-
-
 @pytest.mark.parametrize("axes", [2, 4, 7, 8])
 def test_the_number_of_axes_is_that_of_the_columns(tmp_path, axes):
     names = [pattern.format(i) for pattern in ("q{}_rad", "tau{}_nm", "dir{}", "temp{}_c") for i in range(1, axes + 1)]

@@ -45,9 +45,9 @@ def test_detection_strength_is_that_of_the_logistic_that_drew_the_names() -> Non
 def test_detection_is_below_what_was_always_named_and_above_what_never_was() -> None:
     place = np.repeat([0, 1], 3)
     named = place == 0
-    found, std, _ = detection(np.array([3.0, 1.2, 0.7] * 2), place, named)
-    assert np.exp(found[0]) < 0.7
-    assert np.exp(found[1]) > 3.0
+    found, std, _ = detection(np.array([18.0, 7.0, 4.0] * 2), place, named)
+    assert np.exp(found[0]) < 4.0
+    assert np.exp(found[1]) > 18.0
     assert np.all(std > 0.2)
 
 
@@ -148,12 +148,12 @@ def test_small_rehearsal_names_a_tilt_and_continues_without_measuring_again() ->
     (tilt,) = body["effects"]
     assert tilt["named"] >= 1
     assert tilt["recovered"]
-    assert 0.2 < tilt["detection_strength"] < 10.0
-    assert len(body["runs"]) == 2 + 3
+    assert 1.0 < tilt["detection_strength"] < 40.0
+    assert len(body["runs"]) == 2 + 9
     assert body["load"]["as_stated"]["inside"] >= 6
     assert body["load"]["calibrated"]["mass_std_share"] < body["load"]["as_stated"]["mass_std_share"]
     page = render_rehearsal(body, Origin("2030-01-01 00:00 UTC", "servo-gateway"))
-    assert page.count("<circle") == 3
+    assert page.count("<circle") == 9
     told.clear()
     again = rehearse(SMALL / "cell.toml", effects={"base_tilt"}, clean_arms=2, earlier=body, done=done)
     assert told == []
