@@ -38,7 +38,7 @@ from gateway.data.blackbox.part import FIELDS
 from gateway.data.blackbox.ring_buffer import KEPT_S, MOST_BOXES
 from gateway.data.csv_text import BLANK_ALLOWED, COLUMNS, PERIOD_COLUMNS
 from gateway.data.period import KINDS, LEAST_PER_HARMONIC
-from gateway.data.periodic import CUTOFF_HZ
+from gateway.data.periods import CUTOFF_HZ
 from gateway.data.recording.reader import SCHEMA, STATUSES
 from gateway.data.recording.writer import VALUES, WORDS
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
@@ -46,6 +46,11 @@ from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.errors import EXIT_CODES, GatewayError
 from gateway.identify.rest.rest_thresholds import CONFLICT, REST_MODEL
 from gateway.identify.tuned_number import described
+from gateway.jobs.accept import accept
+from gateway.jobs.calibrate import calibrate, store_calibration
+from gateway.jobs.check import check, check_moving
+from gateway.jobs.commission import commission
+from gateway.jobs.measure import move, record, record_moving, record_until_known
 from gateway.model.effect import Effect, nowhere
 from gateway.model.effects import LIBRARY
 from gateway.newcell.questions import ALL
@@ -272,6 +277,11 @@ def _thresholds(of: Any) -> str:
     return _numbers((f"`{name}`", *row) for name, *row in described(of))
 
 
+#: Public functions for programs that measure.
+JOBS: Final = (
+    *(check, check_moving, move, record, record_until_known, record_moving, commission, accept, calibrate),
+    store_calibration,
+)
 BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     "keys of a cell file": lambda: keys(Cell),
     "plausible values": lambda: _numbers((name, f"{value:.6g}", *about) for name, (value, *about) in BOUNDS.items()),
@@ -286,6 +296,9 @@ BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     "commands": lambda: commands() + "\n",
     "public names": lambda: table(
         "| name | what it is |", ((f"`{name}`", _summary(getattr(api, name))) for name in api.__all__)
+    ),
+    "jobs": lambda: table(
+        "| function | what it does |", ((f"`{each.__module__}.{each.__name__}`", _summary(each)) for each in JOBS)
     ),
     "effects": _effects,
     "model at rest": lambda: _thresholds(REST_MODEL),

@@ -53,7 +53,7 @@ _LONG_ID: Final = 1 << 29
 
 def listen_for_masters(nodes: Nodes) -> None:
     """Listen whether another master is active on the bus, before anything is sent."""
-    refuse_foreign(nodes.bus, max(FREE_S, 3.0 * nodes.timing.period_s), nodes.master_node_id)
+    refuse_foreign(nodes.bus, max(FREE_S, 3.0 * nodes.timing.period_s))
 
 
 def identify(nodes: Nodes, *, wakes: bool = True) -> None:
@@ -298,11 +298,16 @@ def set_mode(drive: Cia402Drive, _period_s: float) -> None:
             others = " or ".join(f"cyclic_mode = {each.value}" for each in FOLLOWING if each is not mode)
             abort.advice = f"enable mode {mode.value} in the drive, or set {others} in [state_machine] of its profile"
         raise
-    deadline = time.monotonic() + access.profile.state_machine.transition_timeout_s
-    while (shown := access.read(OBJECTS["mode_display"])) not in (0, mode.value):
-        if time.monotonic() > deadline:
-            refuse_mode(access, mode, shown)
-        access.bus.listen(POLL_S)
+    check_mode(drive, access.profile.state_machine.transition_timeout_s)
+
+
+def check_mode(drive: Cia402Drive, wait_s: float = 0.0) -> None:
+    """Refuse a drive that still shows another mode (0x6061) after a time; 0 is none: see `set_mode`."""
+    deadline_s = time.monotonic() + wait_s
+    while (shown := drive.access.read(OBJECTS["mode_display"])) not in (0, drive.mode.value):
+        if time.monotonic() >= deadline_s:
+            refuse_mode(drive.access, drive.mode, shown)
+        drive.access.bus.listen(POLL_S)
 
 
 def refuse_mode(access: ObjectAccess, mode: Mode, shown: int | None) -> NoReturn:

@@ -16,7 +16,7 @@ from typing import Final
 
 from drives.bus_spec import BusSpec
 from drives.errors import BusError
-from drives.file_lock import lock_file
+from drives.files import lock_file
 
 #: Folders that all users of a computer share. The lock is taken in each one that can be used, so that two users who
 #: cannot use the same ones still exclude each other by those that they share.

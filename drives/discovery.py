@@ -21,7 +21,7 @@ FREE_S: Final = 0.5
 _MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
 
 
-def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MASTER_NODE_ID) -> None:
+def refuse_foreign(bus: Bus, listen_s: float = FREE_S) -> None:
     """Refuse a bus on which another master is active; nothing is sent. Afterwards `Bus.check_free` monitors the bus.
 
     Parameters
@@ -29,8 +29,6 @@ def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MAS
     bus : Bus
     listen_s : float
         How long to listen.
-    master_node_id : int
-        Node id with which masters send their heartbeat.
 
     Raises
     ------
@@ -45,17 +43,17 @@ def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MAS
 
     bus.drain()
     before = dict(bus.foreign)
-    bus.subscribe(HEARTBEAT_BASE + master_node_id, on_beat)
+    bus.subscribe(HEARTBEAT_BASE + MASTER_NODE_ID, on_beat)
     try:
         bus.listen(listen_s)
     finally:
-        bus.unsubscribe(HEARTBEAT_BASE + master_node_id, on_beat)
+        bus.unsubscribe(HEARTBEAT_BASE + MASTER_NODE_ID, on_beat)
     new = {can_id: number - before.get(can_id, 0) for can_id, number in bus.foreign.items()}
     sent = _sent_by_master(new)
     advice = "end the other master, or wait until it has ended, then start again"
     if beats and not sent:
-        advice += f"; if node {master_node_id} is a drive, give it another id: masters have this one"
-    sent += [f"the heartbeat of node {master_node_id}"] * bool(beats)
+        advice += f"; if node {MASTER_NODE_ID} is a drive, give it another id: masters have this one"
+    sent += [f"the heartbeat of node {MASTER_NODE_ID}"] * bool(beats)
     if sent:
         what = f"another master is active on {bus.spec}: in {listen_s:g} s it has sent {' and '.join(sent)}"
         raise ForeignMaster(f"{what}; nothing was sent to the drives", advice=advice)

@@ -16,7 +16,7 @@ from drives.errors import (
     DriveFault,
     IdentityMismatch,
 )
-from drives.heartbeat import SIGNS_IN_TIME, rounded_time
+from drives.heartbeat import MASTER_NODE_ID, SIGNS_IN_TIME, rounded_time
 from drives.ledger import WriteLedger
 from drives.objects import OBJECTS
 from drives.other_pdos import OtherPdo
@@ -146,11 +146,11 @@ class Cia402Drive:
         values = [(each, self.access.read(each.object)) for each in self.setup.profile.conditions]
         return [f"{each.what}: {each.describe(value)}" for each, value in values if not each.holds(value)]
 
-    def arm(self, master_node_id: int) -> None:
+    def arm(self) -> None:
         """Make the drive watch the master, from its first heartbeat (0x1016) or node guarding request (0x100C) on."""
         reason, heartbeat = "the drive stops when the master is lost", self.setup.profile.heartbeat
         if heartbeat.watchdog == "heartbeat":
-            entry, value = OBJECTS["consumer_heartbeat"], master_node_id << 16 | heartbeat.consumer_ms
+            entry, value = OBJECTS["consumer_heartbeat"], MASTER_NODE_ID << 16 | heartbeat.consumer_ms
             back = self.access.write(entry, value, reason, rounded=rounded_time(value, heartbeat.consumer_ms))
             self.loss_time_s = (back & 0xFFFF) / 1000.0
         else:

@@ -85,7 +85,7 @@ def _narrowed(found: Counts, wanted: Counts) -> Counts:
     return low, high
 
 
-def limit_torque(access: ObjectAccess, permille: int | None) -> bool:
+def limit_torque(access: ObjectAccess, permille: int | None) -> None:
     """Lower the largest torque that the drive gives (0x6072), where profile and drive allow it.
 
     The limit of an earlier run is replaced: the drive gets the smaller one of its original value and the present need.
@@ -96,11 +96,6 @@ def limit_torque(access: ObjectAccess, permille: int | None) -> bool:
     permille : int or None
         Of the rated torque; None = the need is not known, and the drive gets its original value.
 
-    Returns
-    -------
-    bool
-        Whether the drive holds a limit of `permille` now, rounded up by a tenth at most.
-
     Raises
     ------
     DriveFault
@@ -109,18 +104,15 @@ def limit_torque(access: ObjectAccess, permille: int | None) -> bool:
         As the drive answers.
     """
     entry = OBJECTS["max_torque"]
-    if not access.may_write(entry.index):
-        return False
+    held = access.read_readable(entry) if access.may_write(entry.index) else None
+    if held is None:
+        return
     status = access.read(OBJECTS["statusword"])
     if decode_state(status) not in AT_REST:
         what = f"is in {describe(status)}: its torque limit is changed only while it is disabled"
         raise DriveFault(what, node=access.node_id, index=entry.index, code=status, advice="disable it first")
-    held = access.read_readable(entry)
-    if held is None:
-        return False
     original = access.original(entry, held)
     limit = original if permille is None or permille <= 0 else min(permille, original)
     if permille is not None or limit != held:
         rounded = range(limit, min(original, limit + limit // ROUNDED) + 1)
         access.write(entry, limit, "lowest torque that the motion needs", rounded=rounded)
-    return limit == permille

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from drives.bringup import refuse_mode
+from drives.bringup import check_mode, refuse_mode
 from drives.bus import Bus
 from drives.cia402 import NoRoute, State, decode_state, describe, enabling_controlword
 from drives.drive import Cia402Drive
@@ -176,9 +176,7 @@ def _compare_with_sdo(drives: Sequence[Cia402Drive], epoch: Epoch) -> None:
     for drive, reading in zip(drives, readings, strict=True):
         try:
             status, position, _ = drive.read_axis()
-            shown = drive.access.read(OBJECTS["mode_display"])
-            if shown not in (0, drive.mode.value):
-                refuse_mode(drive.access, drive.mode, shown)
+            check_mode(drive)
         except DriveError as error:
             failures.append(error)
             continue

@@ -220,8 +220,11 @@ class SeveralFailures(DriveError):  # noqa: N818 - reads as what happened
 
 
 def raise_failures(failures: Sequence[DriveError]) -> None:
-    """Raise `SeveralFailures`, or a single failure itself; return if there is none."""
-    if len(failures) == 1:
+    """Raise `SeveralFailures`, or a single failure itself; return if there is none.
+
+    Of an adapter that is gone each frame is a failure: the first one is raised.
+    """
+    if len(failures) == 1 or (failures and all(type(failure) in (BusError, BusOff) for failure in failures)):
         raise failures[0]
     if failures:
         raise SeveralFailures(failures)

@@ -1,6 +1,7 @@
 """Atomic replacement of files: after a crash a file holds its old content or its new content, complete.
 
 Documents that the program reads again carry a checksum. It detects damage and accidental edits, not forgery.
+`lock_file` keeps other processes from a file.
 """
 
 from __future__ import annotations
@@ -177,3 +178,28 @@ def _create(folder: Path) -> tuple[Path, int]:
             for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_BINARY"):  # not every system has each
                 flags |= getattr(os, name, 0)
             return path, os.open(path, flags, 0o666)
+
+
+def lock_file(descriptor: int, *, wait: bool = False) -> None:
+    """Lock a file for this process until its descriptor is closed.
+
+    Parameters
+    ----------
+    descriptor : int
+        Of the open file.
+    wait : bool
+        Wait for another holder; else it is refused at once.
+
+    Raises
+    ------
+    BlockingIOError
+        Another process holds it.
+    OSError
+        This system has no such locks: what writes a recording or drives needs Linux or macOS.
+    """
+    try:
+        import fcntl  # Windows has none; reading data needs none
+    except ImportError as error:
+        what = "this system has no file locks: what moves an arm or writes a recording needs Linux"
+        raise OSError(errno.ENOTSUP, what) from error
+    fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))

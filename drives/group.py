@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime, timedelta
 from typing import Final, TypeVar, TypeVarTuple
 
 from drives import bringup, enabling, stopping
@@ -28,7 +29,7 @@ from drives.errors import (
     while_stopping,
 )
 from drives.exchange import GroupOptions, SyncExchange
-from drives.gate import ArmState, Gate
+from drives.gate import ArmState, DriveState, Gate
 from drives.heartbeat import HeartbeatWatch, NmtCommand, NmtState, send_nmt
 from drives.monitor import Monitor
 from drives.nodes import Nodes
@@ -223,7 +224,7 @@ class DriveGroup(Nodes):
         if stop_requested():
             raise StopRequested("a stop was requested before the drives were enabled")
         try:
-            raise_failures(self.failures(lambda drive: drive.arm(self.master_node_id), self.drives))
+            raise_failures(self.failures(lambda drive: drive.arm(), self.drives))
             self.ledger.settle()
             self.gate().require_approach()  # what happened while the consumer times were written
             monitor.forgive()
@@ -524,9 +525,20 @@ class DriveGroup(Nodes):
             send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
 
     def close(self) -> None:
-        """Disable if enabled, leave the drives in PRE-OPERATIONAL, stop listening; may be called again."""
+        """Disable if enabled, leave the drives in PRE-OPERATIONAL, stop listening; may be called again.
+
+        Raises
+        ------
+        SeveralFailures or DriveError
+            As `disable`; the state in which each drive was read last is in the notes.
+        """
         try:
             self.disable()
+        except DriveError as error:
+            seen = zip(self.drives, self._parts()[0].states, strict=True)
+            read_at = datetime.now(UTC) - timedelta(seconds=time.monotonic() - self.sync_sent_s)
+            error.add_note(f"{ArmState(tuple(DriveState(drive.node_id, state) for drive, state in seen), read_at)}.")
+            raise
         finally:
             self.heartbeat.stop()
             try:
@@ -549,9 +561,7 @@ class DriveGroup(Nodes):
 def _not_stood_down(failures: list[DriveError]) -> NotStoodDown:
     """Return the error for drives that were read as disabled and whose heartbeat watch could not be ended."""
     what = "; ".join(str(failure) for failure in failures)
-    advice = (
-        "a drive that still monitors the master may report a lost heartbeat: `servo-gateway restore CELL` ends that"
-    )
+    advice = "a drive that still monitors the master may report its loss: `servo-gateway restore CELL` ends that"
     return NotStoodDown(f"every drive was read as disabled; then: {what}", advice=advice)
 
 

@@ -64,8 +64,6 @@ class HeartbeatProducer:
     Parameters
     ----------
     bus : Bus
-    master_node_id : int
-        Node id of the master.
     consumer_s : float
         Shortest time after which a drive treats the master as lost [s].
     sync_time_s : callable
@@ -77,14 +75,13 @@ class HeartbeatProducer:
     def __init__(
         self,
         bus: Bus,
-        master_node_id: int,
         consumer_s: float,
         sync_time_s: Callable[[], float],
         guarded: Sequence[int] = (),
     ) -> None:
         self.running = False
         self._bus = bus
-        beat = bus.prepare(HEARTBEAT_BASE + master_node_id, 1)
+        beat = bus.prepare(HEARTBEAT_BASE + MASTER_NODE_ID, 1)
         beat.data[0] = NmtState.OPERATIONAL
         self._frames = (beat, *(bus.prepare(HEARTBEAT_BASE + node_id, 1, is_remote=True) for node_id in guarded))
         self._interval_s = consumer_s / SIGNS_IN_TIME

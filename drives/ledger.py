@@ -20,8 +20,7 @@ from typing import Any, Final, Literal
 
 from drives.bus_spec import NETWORKS
 from drives.errors import ConfigurationRefused
-from drives.file_lock import lock_file
-from drives.files import read_sealed, write_sealed
+from drives.files import lock_file, read_sealed, write_sealed
 from drives.objects import object_name
 from drives.values import Identity
 

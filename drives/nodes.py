@@ -35,8 +35,6 @@ class Nodes:
         Time between two SYNCs; in lockstep the simulated time of one SYNC.
     pacing : "lockstep" or "real"
         Next SYNC as soon as all have answered, or in real time.
-    master_node_id : int
-        Node id of the master's heartbeat.
     options : GroupOptions, optional
 
     Attributes
@@ -61,28 +59,23 @@ class Nodes:
         setups: Sequence[AxisSetup],
         sync_period_s: float,
         pacing: Pacing = "lockstep",
-        master_node_id: int = MASTER_NODE_ID,
         options: GroupOptions | None = None,
     ) -> None:
         self.options = options or GroupOptions()
         ids = [setup.node_id for setup in (*setups, *self.options.instruments)]
-        if not setups or len({*ids, master_node_id}) != len(ids) + 1:
-            raise ConfigurationRefused(
-                f"node ids {ids} and {master_node_id} of the master must each be given once", advice="correct the cell"
-            )
+        if not setups or len({*ids, MASTER_NODE_ID}) != len(ids) + 1:
+            what = f"node ids {ids} and {MASTER_NODE_ID} of the master must each be given once"
+            raise ConfigurationRefused(what, advice="correct the cell")
         if not (math.isfinite(sync_period_s) and sync_period_s > 0):
             raise ConfigurationRefused(f"SYNC period {sync_period_s} s is not positive", advice="correct the cell")
         self.bus = bus
         self.setups = tuple(setups)
         self.node_ids = tuple(ids)
-        self.master_node_id = master_node_id
         self.timing = Timing(sync_period_s, pacing, self.options)
         consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
-        #: Of the master.
         guarded = [each.node_id for each in setups if each.profile.heartbeat.watchdog == "node guarding"]
-        self.heartbeat = HeartbeatProducer(
-            bus, master_node_id, consumer_s, lambda: self.sync_index * sync_period_s, guarded
-        )
+        #: Of the master.
+        self.heartbeat = HeartbeatProducer(bus, consumer_s, lambda: self.sync_index * sync_period_s, guarded)
         self.ledger = WriteLedger(self.options.ledger_path)
         self.emcy = EmcyLog({setup.node_id: setup.profile for setup in setups})
         self.drives: tuple[Cia402Drive, ...] = ()

@@ -300,6 +300,13 @@ class Position(Strict):
             raise ValueError("the position object must be of type i32, as the target position 0x607A is")
         return self
 
+    @property
+    def count_objects(self) -> tuple[ObjectReference, ...]:
+        """Objects that the resolution is read from; none where it is given."""
+        known = self.counts_per_revolution
+        named = (known.object, known.per) if isinstance(known, CountsFromObjects) else ()
+        return tuple(each for each in named if each is not None)
+
     def counts(self, read: Reader) -> float | None:
         """Return the position counts of one motor revolution; None where the drive holds no resolution."""
         known = self.counts_per_revolution

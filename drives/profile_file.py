@@ -11,7 +11,7 @@ from drives.datasheet.sheet import Sheet
 from drives.errors import ProfileError
 from drives.objects import OBJECTS
 from drives.pdo import OFFSETS
-from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
+from drives.profile import DriveProfile, ObjectReference
 from drives.toml_lines import KeyPath
 from drives.validation import Unfit, read_strict
 
@@ -77,9 +77,7 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
         yield from ((offset, True) for offset in OFFSETS.values())
     if profile.temperature is not None:
         yield profile.temperature.object, False
-    counts = profile.position.counts_per_revolution
-    if isinstance(counts, CountsFromObjects):
-        yield from ((each, False) for each in (counts.object, counts.per) if each is not None)
+    yield from ((each, False) for each in profile.position.count_objects)
 
 
 PROFILE_FOLDER = Path(__file__).parent / "profiles"

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from drives.busload import load_percent
 from drives.emcy import Emergency
 from drives.exchange import SyncExchange
-from drives.latency import SdoStatistics
 from drives.nodes import Nodes
+from drives.sdo import SdoStatistics
 
 
 @dataclass(frozen=True, slots=True)

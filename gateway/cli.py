@@ -131,7 +131,13 @@ class LadderGroup(click.Group):
         """Run the command line and leave with its exit code."""
         del standalone_mode
         if args is None:
-            _end_by_signal()
+
+            def stopped(number: int, _frame: Any) -> None:
+                raise StoppedByPerson(f"stopped by {signal.Signals(number).name}")
+
+            for number in ENDING_SIGNALS:
+                if signal.getsignal(number) == signal.SIG_DFL:
+                    signal.signal(number, stopped)
         try:
             code = super().main(
                 args,
@@ -159,17 +165,6 @@ def _code_after_closed_output(error: BaseException) -> int:
         if isinstance(code, int):
             return code
     return 0
-
-
-def _end_by_signal() -> None:
-    """Handle ending signals like Ctrl-C; signals ignored by `nohup` stay ignored."""
-
-    def stopped(number: int, _frame: Any) -> None:
-        raise StoppedByPerson(f"stopped by {signal.Signals(number).name}")
-
-    for number in ENDING_SIGNALS:
-        if signal.getsignal(number) == signal.SIG_DFL:
-            signal.signal(number, stopped)
 
 
 def _ignore_signals() -> None:

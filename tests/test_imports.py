@@ -10,9 +10,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-IMPORT = re.compile(
-    r"^ *from ((?:benchmarks|drives|gateway|sim|tests)[\w.]*) import (\([^)]*\)|[^\n]*)", flags=re.MULTILINE
-)
+IMPORT = re.compile(r"(?m)^ *from ((?:benchmarks|drives|gateway|sim|tests)[\w.]*) import (\([^)]*\)|[^\n]*)")
 
 
 @cache

@@ -18,7 +18,7 @@ from benchmarks.figure import figure
 from benchmarks.pair.bus_rig import NO_LIMIT_N, PairRig, inline_rig
 from drives.errors import DriveError
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
-from gateway.pair.embodiments import EMBODIMENTS, with_gains
+from gateway.pair.controller import EMBODIMENTS, with_gains
 from gateway.pair.pair_motion import PairMotionOptions
 from gateway.pair.pair_run import PairRun
 from gateway.pair.session import cell_gains

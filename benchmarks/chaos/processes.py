@@ -32,7 +32,7 @@ from gateway.acquire.events import Event, VisitDone
 from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.session import RecordRequest, record
 from gateway.cell.config import LoadedCell, load_cell
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import GatewayError
 from gateway.model.arm_model import arm_named
 from gateway.motion.opening import axis_setups, open_arm

@@ -33,7 +33,7 @@ from gateway.acquire.visit_store import MemoryStore
 from gateway.check.brakes import try_brakes
 from gateway.check.moves import check_moves
 from gateway.check.stop import prove_stop
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import GatewayError
 from gateway.motion.opening import OpenArm, open_arm
 from gateway.motion.state import Phase

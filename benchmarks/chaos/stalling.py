@@ -25,7 +25,7 @@ from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.session import RecordRequest, record
 from gateway.cell.config import load_cell
 from gateway.data.recording.reader import read
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import GatewayError
 from gateway.motion.opening import open_arm
 from gateway.motion.stops import StopDesk, StoppedByPerson, signals_ask

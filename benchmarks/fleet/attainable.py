@@ -12,8 +12,7 @@ from scipy.stats import norm
 
 from benchmarks.fleet.bound import LOOKS_DAY
 from benchmarks.fleet.plant import LIKE, WEAR, Robot, likeness
-from gateway.fleet.correlated_noise import Sums, lines
-from gateway.fleet.drift_detection import needed_sigmas, sigmas
+from gateway.fleet.correlated_noise import Sums, lines, needed_sigmas, sigmas
 
 #: Sizes of the random walk that represent all.
 SIZES = 12

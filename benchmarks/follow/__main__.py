@@ -21,7 +21,7 @@ from benchmarks.figure import conclude, figure
 from benchmarks.program import options
 from gateway.cell.config import load_cell
 from gateway.follow.settings import prepare
-from gateway.result.follow import FedTrend, FollowResult, read_follow
+from gateway.result.follow import FedTrend, FollowResult, follow_from_json
 from tests.support.follow import rig
 
 SEEDS = (1, 2, 3)
@@ -50,7 +50,7 @@ def main() -> int:
                 report = arguments.out / f"{example}-{seed}.html"
                 command = rig.follow_command(place, handle, place.result, report)
                 assert command.exit_code == 0, command.output
-                results[example].append(read_follow(report.with_suffix(".json")))
+                results[example].append(follow_from_json(report.with_suffix(".json").read_text(), "follow.json"))
                 wrong += _wrong(place, handle)
                 untyped.append(_nothing_typed(place, handle, seed))
                 if number == 1:

@@ -17,11 +17,10 @@ from benchmarks.fuzz.guard import bounded
 from benchmarks.fuzz.mutate import damaged
 from drives.errors import BusError
 from gateway.errors import ConfigError, InputError
-from gateway.pair.function_file import transform_of
 from gateway.pair.pair_cell import COLUMNS, PairCell, load_pair, read_path
 from gateway.pair.pair_store import PairStore
-from gateway.pair.taught_path import TaughtPath, read_taught_path, taught_point
-from gateway.pair.transform_function import TransformFunction, function_of_knots
+from gateway.pair.teach import TaughtPath, read_taught_path, taught_point
+from gateway.pair.transform_function import TransformFunction, function_of_knots, transform_of
 from gateway.report.pair_page import FORCE, Limited, render_pair
 from gateway.result.values import json_text
 

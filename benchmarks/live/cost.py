@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.live.rig import SMALL
 from drives.values import DriveReading
 from gateway.cell.config import load_cell
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.live.drawing import shown_arm
 from gateway.live.feed import Feed
 from gateway.live.wire import ALIVE, ASK, MOST_BYTES, ShownCell, pair_of_sockets

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from benchmarks.pair.bus_rig import BACK_SPEED, CELL, Power, bus_spec, simulated
 from benchmarks.pair.inline import inline
-from gateway.pair.link import PairLink, open_link
 from gateway.pair.pair_cell import PairCell, load_pair
 from gateway.pair.pair_motion import PairMotionOptions
 from gateway.pair.pair_run import PairRun
-from gateway.pair.session import embodiment_of, one_relation
+from gateway.pair.session import PairLink, embodiment_of, one_relation, open_link
 from sim.measuring import FakeMeasuringDevice
 from sim.pair.gap import GapSensors
 from sim.pair.world import PairWorld

@@ -13,7 +13,7 @@ from benchmarks.pair.bus_gap import gap_rig
 from benchmarks.pair.bus_rig import BACK_SPEED, PairRig, inline_rig
 from drives.errors import DriveError
 from gateway.errors import GatewayError
-from gateway.pair.embodiments import EMBODIMENTS, with_gains
+from gateway.pair.controller import EMBODIMENTS, with_gains
 from gateway.pair.pair_motion import PairMotionOptions
 from gateway.pair.pair_run import PairRun
 from gateway.pair.session import cell_gains

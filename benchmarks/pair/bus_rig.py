@@ -18,18 +18,16 @@ from scipy.spatial import cKDTree
 from benchmarks.pair.inline import inline
 from gateway.motion.power import powered
 from gateway.motion.stream import Stream
-from gateway.pair.embodiments import Embodiment
+from gateway.pair.controller import Embodiment
 from gateway.pair.learning_update import led
-from gateway.pair.link import PairLink, open_link
 from gateway.pair.pair_cell import PairCell, load_pair
 from gateway.pair.pair_motion import PairMotion, PairMotionOptions
 from gateway.pair.pair_run import PairCycle, PairRun
 from gateway.pair.pair_store import line_of_grippers
-from gateway.pair.session import cell_gains
-from gateway.pair.taught_path import TaughtPath
-from gateway.pair.teach import Teacher
+from gateway.pair.session import PairLink, cell_gains, open_link
+from gateway.pair.teach import TaughtPath, Teacher
 from gateway.pair.transform_function import TransformFunction
-from gateway.result.interval import TWO_SIDED_95
+from gateway.result.numerals import TWO_SIDED_95
 from sim.pair.world import PairWorld
 from sim.simulation import ServeOptions, Simulation
 from tests.support.rigs.pacing import in_lockstep

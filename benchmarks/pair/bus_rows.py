@@ -19,12 +19,11 @@ from benchmarks.pair.bus_paths import drawn_cell
 from benchmarks.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, deviation_m, figures_of, inline_rig
 from drives.errors import DriveError
 from gateway.errors import LimitExceeded, PlanRefused
-from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
+from gateway.pair.controller import EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.pair_motion import PairMotionOptions, PairStopped
 from gateway.pair.pair_run import PairRun
 from gateway.pair.session import cell_gains
-from gateway.pair.speed_table import ExtrapolationWarning, SpeedTable
-from gateway.pair.transform_function import TransformFunction, constant_function
+from gateway.pair.transform_function import ExtrapolationWarning, SpeedTable, TransformFunction, constant_function
 from gateway.result.values import plain_values
 from sim.states import PdsState
 

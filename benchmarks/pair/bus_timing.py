@@ -18,8 +18,8 @@ from benchmarks.pair.bus_rig import CELL, pair_rig
 from drives.errors import DriveError
 from gateway.motion.power import powered
 from gateway.motion.stream import MoveOptions
-from gateway.pair.link import PairLink, open_link
 from gateway.pair.pair_cell import PairCell, load_pair
+from gateway.pair.session import PairLink, open_link
 from gateway.pair.transform_function import function_of_knots
 from sim.pair.cell import PLANTS
 from sim.pair.two_arms import TwoArms

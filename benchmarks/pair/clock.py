@@ -33,17 +33,15 @@ from benchmarks.pair.bus_rig import Power, bus_spec, patient_cell
 from benchmarks.pair.inline import inline
 from benchmarks.program import numbers, options
 from drives.errors import DriveError, MasterStalled
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import GatewayError
 from gateway.motion.power import powered
-from gateway.pair.force_guard import DELAY_TEXT, DELAYED_SHARE
-from gateway.pair.link import PairLink, open_link
+from gateway.pair.force import DELAY_TEXT, DELAYED_SHARE
 from gateway.pair.pair_cell import PairCell, load_pair
 from gateway.pair.pair_motion import PairMotion, PairMotionOptions, PairStopped
 from gateway.pair.pair_run import PairRun
-from gateway.pair.session import cell_gains, embodiment_of, one_relation
-from gateway.pair.taught_path import TaughtPath
-from gateway.pair.teach import Teacher
+from gateway.pair.session import PairLink, cell_gains, embodiment_of, one_relation, open_link
+from gateway.pair.teach import TaughtPath, Teacher
 from gateway.pair.transform import Floats
 from gateway.pair.transform_function import TransformFunction
 from sim.pair.gap import GapSensors

@@ -17,7 +17,7 @@ from gateway.estimate.estimate import Estimate
 from gateway.estimate.expected_information import Sought, Stock, take_stock
 from gateway.estimate.joint import estimate_joint
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.rejected import without_outliers
+from gateway.identify.outliers import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import Visits, pair_visits

@@ -24,7 +24,7 @@ from click.testing import CliRunner
 
 from benchmarks.figure import figure
 from gateway.cli import main
-from gateway.result.interval import half_width
+from gateway.result.numerals import half_width
 from gateway.result.result import read_result
 from sim.serve import running
 from tests.support.rigs.pacing import in_lockstep

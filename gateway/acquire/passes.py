@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from gateway.cell.config import ArmConfig
 from gateway.data.labels import BARE_LABEL
 from gateway.data.period import PeriodLabel, harmonics_of, why_aliased
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import ConfigError, PlanRefused
 from gateway.excite.excitation import Excitation, MovingPlan, fingerprint
-from gateway.feedforward.identified import AxisConstants, Known, axis_constants
-from gateway.feedforward.parameters import drawn_parameters
+from gateway.feedforward.identified import AxisConstants, Known, axis_constants, drawn_parameters
 from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import regressor
 from gateway.motion.setpoints import MotionSetpoints, PerArm

@@ -14,7 +14,7 @@ import numpy as np
 
 from gateway.acquire.passes import REST_S, Pass
 from gateway.acquire.route import Leg, clearest_route, path_to
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import PlanRefused, WrongPlace
 from gateway.motion.joint_path import angles
 from gateway.motion.trajectory import MotionLimits, straight

@@ -17,7 +17,7 @@ from gateway.acquire.plan import Expectation, Plan, VisitSettings, check_plan, p
 from gateway.acquire.poses import DISTANCE_RAD, can_be_measured, choose_poses, feasible_postures, read_poses
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.recorded import Recording
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import InputError, PlanRefused
 from gateway.feedforward.load import other_origin
 from gateway.identify.load_estimate import load_directions
@@ -30,7 +30,7 @@ from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_loa
 from gateway.motion.joint_path import angles
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.pipeline.inputs import AnalysisInputs, constants_std, profile_of
-from gateway.preflight.limits import refuse_beyond_counts
+from gateway.preflight.rules import refuse_beyond_counts
 from gateway.result.result import read_result
 
 #: Further pose choices that are tried if a chosen pose is not reachable.

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.data.csv_text import read_columns
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import InputError, PlanRefused
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.motion.workspace import Workspace

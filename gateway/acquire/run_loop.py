@@ -41,8 +41,7 @@ from gateway.acquire.plan import (
 from gateway.acquire.settle import SettleTest
 from gateway.acquire.visit_store import VisitStore
 from gateway.data.period import Period, PeriodLog
-from gateway.data.sample import ArmSample
-from gateway.data.visit import Visit, VisitLabel, visit_from_samples
+from gateway.data.visit import ArmSample, Visit, VisitLabel, visit_from_samples
 from gateway.errors import GatewayError, PlanRefused, PoseNeverSettles
 from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms

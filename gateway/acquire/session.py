@@ -24,7 +24,7 @@ from gateway.data.recording.queue import VisitQueue
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
 from gateway.data.recording.writer import ArmHeader, RecordingHeader
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import GatewayError, InputError
 from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.excite.planning import check_moving_plan

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from gateway.data.recording.reader import read
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.identify.drift import AGAIN
 from gateway.identify.prior_loads import BARE_LABEL
 

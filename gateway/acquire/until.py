@@ -6,7 +6,7 @@ posture to the next pose with its checked plan, or to the end. `chosen_poses` le
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -33,14 +33,13 @@ from gateway.acquire.until_goal import OPTION, Goal, Narrowness, best_first, end
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
-from gateway.data.rest_pose import RestPose
 from gateway.data.table import Table, concatenate
-from gateway.data.visit import Visit
+from gateway.data.visit import RestPose, Visit
 from gateway.errors import InputError, PlanRefused, WrongPlace
 from gateway.estimate.expected_information import PoseNoise, Sought, Stock, information_of_priors, take_stock
 from gateway.identify.knowledge import Knowledge
+from gateway.identify.outliers import without_outliers
 from gateway.identify.prior_loads import BARE_LABEL
-from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 from gateway.model.visits import pair_visits
@@ -50,7 +49,6 @@ from gateway.motion.stream import MoveOptions
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import BAND_SHARE, Workspace
 from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows, split_validation
-from gateway.pipeline.known import KnownLoad
 
 Floats = NDArray[np.float64]
 
@@ -136,11 +134,8 @@ def search_of(
     label: str,
     goal: Goal,
     path: Path,
-    cell: Path,
+    model: ModelRequest,
     apart_rad: Floats,
-    *,
-    bare: Path | None = None,
-    known: Mapping[str, KnownLoad] | None = None,
 ) -> tuple[LoadSearch, Recording | None]:
     """Return the search for a load, and the recording that it continues.
 
@@ -154,14 +149,10 @@ def search_of(
     goal : Goal
     path : Path
         The recording; an existing one is continued.
-    cell : Path
-        The cell file.
+    model : ModelRequest
+        Cell and arm; a stored identification of the unloaded arm, and weighed loads of the recording.
     apart_rad : array of shape (k, N)
         Postures reserved for validation; samples measured there are left out.
-    bare : Path, optional
-        A result that holds a stored identification of the unloaded arm.
-    known : mapping of label to (mass [kg], x, y, z [m] in the last link), optional
-        Loads in the recording that were weighed.
 
     Raises
     ------
@@ -179,7 +170,7 @@ def search_of(
     stored = None if earlier is None else earlier.arm(arm.name)
     measured = stored is not None and any(visit.complete for visit in stored.visits)
     paths = [path] if measured else []
-    about = collect_inputs(ModelRequest(cell=cell, arm=arm.name, bare=bare, known=known or {}), paths)
+    about = collect_inputs(model, paths)
     table = read_rows(paths, about) if measured else None
     if table is not None and len(apart_rad):
         table = split_validation(table)[0]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gateway.errors import InputError
 from gateway.estimate.expected_information import ExpectedInformation, Stock
 from gateway.identify.load_estimate import LoadEstimate
-from gateway.result.interval import PLUS_MINUS, SAID, half_width
+from gateway.result.numerals import PLUS_MINUS, SAID, half_width
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]

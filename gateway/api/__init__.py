@@ -1,7 +1,8 @@
 """The public Python interface: read measured data, estimate loads, find what the model lacks, read a drive.
 
-Import from here: `from gateway.api import estimate, read`. What `__all__` lists is public; every other module may
-change in any version. Nothing in this interface moves an arm or writes to a drive.
+Import from here: `from gateway.api import estimate, read`. Nothing in this interface moves an arm or writes to a drive;
+the functions of `gateway.jobs` do. What `__all__` lists is public, and what the page of the Python interface lists of
+`gateway.jobs`; every other module may change in any version.
 
 Units are SI and part of every name (`_kg _m _rad _nm _s`), joints count from 1. Errors are of `GatewayError` or
 `DriveError`: their text says what happened, where, and what to do.

@@ -17,8 +17,7 @@ from gateway.errors import InputError
 from gateway.estimate import Coefficient
 from gateway.estimate import run as _estimate
 from gateway.model.effects import LIBRARY
-from gateway.pipeline.accept import accept
-from gateway.pipeline.finalize import finalize
+from gateway.pipeline.finalize import accept, finalize
 from gateway.pipeline.inputs import (
     AnalysisInputs,
     ModelRequest,

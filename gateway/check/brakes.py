@@ -20,7 +20,7 @@ import numpy as np
 from drives.errors import DriveError
 from drives.proof import BrakeTest
 from gateway.check.stop import planned_stream
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import BRAKE_DROP_RAD, powered

@@ -17,7 +17,7 @@ from drives.errors import DriveError
 from drives.objects import OBJECTS
 from drives.proof import StopTest, StopTrace
 from gateway.acquire.plan import approach_limits
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import PlanRefused
 from gateway.motion.arms import Arms
 from gateway.motion.opening import OpenArm

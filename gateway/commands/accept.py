@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import click
 
 from drives.files import replace_file
 from gateway.commands.console import axis_names, grid
 from gateway.commands.guided import recording_in
-from gateway.commands.measure import arm_option, show_plan
+from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
     FILE,
@@ -27,13 +28,7 @@ from gateway.commands.shared_options import (
     session_of,
     write_json,
 )
-from gateway.errors import FindingFailed, InputError, PlanRefused
-
-if TYPE_CHECKING:
-    from gateway.cell.config import ArmConfig
-    from gateway.identify.workspace_error import EnteredLoad
-    from gateway.pipeline.inputs import AnalysisInputs
-    from gateway.result.result import Result
+from gateway.errors import FindingFailed
 
 #: Recording in the folder of --out.
 _RECORDING: Final = "accept.h5"
@@ -85,76 +80,29 @@ def accept(
     The arm moves, unless --from is given. Pass, fail or cannot tell, with the probability that the decision is wrong;
     exit 7 unless it passes.
     """
-    import numpy as np
-
-    from gateway.acquire.planning import plan_acceptance, workspace_postures
-    from gateway.acquire.session import RecordRequest
-    from gateway.commands.progress import recording_with_progress
-    from gateway.identify.workspace_error import error_families
+    from gateway.commands.terminal import terminal
+    from gateway.jobs.accept import accept as run
     from gateway.jobs.cell_context import open_cell
-    from gateway.jobs.commission import keep_earlier
-    from gateway.jobs.frame import begin_motion
-    from gateway.motion.workspace import workspace_of
-    from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
-    from gateway.pipeline.workspace_acceptance import accepted_over, parse_tolerance, seen_postures
-    from gateway.preflight.limits import refuse_beyond_counts
+    from gateway.model.arm_model import arm_named, arm_robot
+    from gateway.motion.stream import MoveOptions
 
-    request = ModelRequest(cell=cell, arm=arm_name)
-    about = collect_inputs(request, data)
-    note_remarks(about.robot)
-    arm, loaded = about.arm, about.loaded
-    if arm is None or loaded is None:
-        raise InputError("accept needs the cell file of the arm")
-    result, entered = _entered(about, arm, load_file, label)
-    workspace, tolerance_nm, session = workspace_of(arm, about.model), parse_tolerance(tolerance, arm), session_of()
-    if not data:
-        context = open_cell(cell, bus_spec, reserve, moving.pacing)
-        refuse_beyond_counts(loaded, arm)
-        with session.working("choosing poses and paths"):
-            plan, resolution = plan_acceptance(
-                loaded,
-                arm,
-                workspace,
-                lambda q_rad: error_families(entered, q_rad, tolerance_nm),
-                np.array(result.noise_floor_nm) / tolerance_nm,
-                seen_postures(result, workspace.robot.axes),
-            )
-        show_plan(plan)
-        session.show(f"expected standard deviation of any error: at most {resolution:.2g} of the tolerance")
-        recording, load = recording_in(out, _RECORDING, resume, context.loaded), entered.load
-        also = f" Load '{load.label}' of {load.mass_kg:.4g} kg has to be mounted. Is it mounted?"
-        with stoppable(moving) as options, context.opened(arm) as opened:
-            options = begin_motion(context, (opened,), options, moving.ask, session.note, also=also)
-            if not resume:
-                keep_earlier(recording, session.note)
-            recording_with_progress(session, opened, plan, RecordRequest(load.label, recording, resume), options)
-        data = (recording,)
-        about = collect_inputs(request, data)
-    table = read_rows(data, about)
-    with session.working("acceptance"):
-        answer = accepted_over(result, entered, about, table, tolerance_nm, workspace_postures(loaded, workspace))
-    answer["arm"] = arm.name
+    context = open_cell(cell, bus_spec, reserve, moving.pacing)
+    note_remarks(arm_robot(context.loaded, arm_named(context.loaded, arm_name)))
+    recording = out / _RECORDING if data else recording_in(out, _RECORDING, resume, context.loaded)
+    with nullcontext(MoveOptions()) if data else stoppable(moving) as options:
+        answer = run(
+            context,
+            load_file,
+            terminal(session_of(), moving),
+            options,
+            recording=recording,
+            data=data,
+            label=label,
+            tolerance=tolerance,
+            arm=arm_name,
+            resume=resume,
+        )
     _hand_over(answer, json_out, report, junit_file)
-
-
-def _entered(about: AnalysisInputs, arm: ArmConfig, load_file: Path, label: str | None) -> tuple[Result, EnteredLoad]:
-    """Return the result of an arm and the load that was entered from it; a load that is too heavy is refused.
-
-    Raises
-    ------
-    InputError, DataUnusable, PlanRefused
-    """
-    from gateway.pipeline.workspace_acceptance import entered_load
-    from gateway.result.result import read_result
-
-    result = read_result(load_file)
-    if result.data is not None and result.data.arm not in (None, arm.name):
-        raise InputError(f"{load_file}: was measured on arm '{result.data.arm}', and this is arm '{arm.name}'")
-    entered = entered_load(result, label, about)
-    mass_kg, most_kg = entered.load.mass_kg, arm.max_load_kg
-    if most_kg is not None and mass_kg > most_kg:
-        raise PlanRefused(f"load '{entered.load.label}': {mass_kg:.4g} kg is beyond max_load_kg of {most_kg:.4g} kg")
-    return result, entered
 
 
 def _hand_over(answer: Mapping[str, Any], json_out: str | None, report: Path | None, junit_file: Path | None) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.commands.console import findings_table, grid
-from gateway.commands.motion_options import AT_HAND, MoveChoice, move_options, stoppable, support_asked
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
     agreed,
     bus_option,
@@ -27,10 +27,6 @@ from gateway.errors import FindingFailed
 if TYPE_CHECKING:
     from drives.discovery import ScanResult
     from drives.ledger import LedgerEntry
-    from gateway.cell.config import ArmConfig
-    from gateway.jobs.cell_context import CellContext
-    from gateway.motion.opening import OpenArm
-    from gateway.motion.stream import MoveOptions
     from gateway.result.result import Finding
 
 
@@ -134,7 +130,10 @@ def check(
     the steps of bring-up before each motion, in their order.
     """
     from drives.bringup import steps
+    from gateway.commands.terminal import terminal
     from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.check import check as check_arm
+    from gateway.jobs.check import check_moving
     from gateway.preflight.drive_check import require_passed
 
     context = open_cell(cell, bus_spec, reserve, moving.pacing)
@@ -142,14 +141,23 @@ def check(
     items: dict[str, list[Finding]] = {}
     proofs: list[dict[str, Any]] = []
     for arm in context.arms:
-        items[arm.name] = _checked(context, arm)
+        items[arm.name] = check_arm(context, arm=arm.name)
     failed = any(line.severity == "fail" for lines in items.values() for line in lines)
     moves = move or prove_stop or brakes
     try:
         if moves and not failed:
             for arm in context.arms:
-                found, seen = _in_motion(context, arm, moving, move=move, prove_stop=prove_stop, brakes=brakes)
-                items[arm.name] += found
+                with stoppable(moving) as options:
+                    findings, seen = check_moving(
+                        context,
+                        terminal(session, moving),
+                        options,
+                        arm=arm.name,
+                        small_moves=move,
+                        stop=prove_stop,
+                        brakes=brakes,
+                    )
+                items[arm.name] += findings
                 proofs += seen
         elif moves:
             session.note("nothing has moved: correct the failed items first")
@@ -168,63 +176,6 @@ def check(
         body = {"schema": 1, "cell": context.loaded.cell.name, "findings": findings}
         write_json(json_out, body | ({"stop_proof": proofs} if proofs else {}))
     require_passed([line for lines in items.values() for line in lines], "check failed")
-
-
-def _in_motion(
-    context: CellContext, arm: ArmConfig, moving: MoveChoice, *, move: bool, prove_stop: bool, brakes: bool
-) -> tuple[list[Finding], list[dict[str, Any]]]:
-    """Run the checks with motion; the stop is proven first."""
-    from gateway.check.brakes import try_brakes
-    from gateway.check.proofs import keep_proof, proven_on
-    from gateway.check.stop import prove_stop as prove
-    from gateway.jobs.frame import begin_motion
-
-    items: list[Finding] = []
-    seen: list[dict[str, Any]] = []
-    path = context.stop_proof(arm)
-    with (
-        stoppable(moving) as options,
-        context.opened(arm) as opened,
-        context.last_seconds(options, opened),
-    ):
-        proves = prove_stop or proven_on(path, opened, options.override) is None
-        what = "will move a little on every joint"
-        if proves:
-            what += ", and the master's heartbeat is stopped on purpose (the resulting drive faults are reset)"
-        if brakes:
-            what += ", and each axis in turn is held by its brake alone (its drive takes over if the brake slips)"
-        say = session_of().note
-        options = begin_motion(context, (opened,), options, moving.ask, say, what=what, also=AT_HAND, proof="own")
-        if proves:
-            proof = prove(opened, options)
-            keep_proof(path, opened, proof)
-            items += proof.items
-            seen.append(proof.as_json())
-            if not proof.passed:
-                return items, seen
-        if brakes:
-            items += try_brakes(opened, options, support_asked(moving))
-        if move and not any(item.severity == "fail" for item in items):  # a brake that does not hold: no power
-            items += _small_moves(opened, options)
-    return items, seen
-
-
-def _small_moves(opened: OpenArm, options: MoveOptions) -> list[Finding]:
-    from gateway.check.moves import check_moves
-    from gateway.commands.progress import ProgressListener
-
-    session = session_of()
-    with session.progress(1.0, "small moves") as bar:
-        return check_moves(opened, (ProgressListener(session, bar),), options)
-
-
-def _checked(context: CellContext, arm: ArmConfig) -> list[Finding]:
-    """Check computer, bus and drives of one arm; the computer is reported once."""
-    from drives.realtime import available
-    from gateway.preflight.machine import judge_realtime
-
-    items = [judge_realtime(available())] if arm is context.arms[0] else []
-    return items + context.check(arm)
 
 
 def _count(lines: Sequence[Finding]) -> str:

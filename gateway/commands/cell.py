@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -29,11 +29,9 @@ from gateway.commands.shared_options import (
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gateway.newcell.answers import Answer, CellAnswers, GivenAnswer, OpenQuestion
-    from gateway.newcell.cell_text import Left
+    from gateway.newcell.answers import Answer, CellAnswers, OpenQuestion
     from gateway.newcell.interview import Draft
     from gateway.newcell.questions import CellQuestion
-    from gateway.result.result import Finding
 
 
 @click.group()
@@ -117,19 +115,27 @@ def cell_new(
     Joint limits come from the URDF; node ids, profiles, ratings and limits from the drives, or from EDS and DCF files.
     Nothing is written to a drive and nothing moves.
     """
-    from gateway.newcell.answers import CellAnswers, read_answers
+    from gateway.jobs.cell_context import open_cell
+    from gateway.model.arm_model import arm_robot
+    from gateway.newcell import questions
+    from gateway.newcell.answers import CellAnswers, GivenAnswer, read_answers
     from gateway.newcell.cell_text import left_over
+    from gateway.newcell.forms import typed_answer
     from gateway.newcell.interview import interview
-    from gateway.newcell.reading import BusEyes
+    from gateway.newcell.nodes import BusEyes
+    from gateway.preflight.drive_check import require_passed
 
     session, kept = session_of(), output.with_suffix(".answers.toml")
     answered = {} if answers is None else read_answers(answers)
     resumed = read_answers(kept) if answers is None and kept.is_file() else {}
     if resumed:
         session.note(f"{kept}: {len(resumed)} answers of an earlier run are reused; delete the file to answer again")
-    answered |= _options(
-        {"robot": robot, "tip": tip, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, typed
-    )
+    named = {"robot": robot, "tip": tip, "bus": bus, "offline": offline or None, "eds": list(eds) or None}
+    here = Path.cwd()
+    found = {key: GivenAnswer(value, f"--{key}", here) for key, value in named.items() if value is not None}
+    for key, text in key_values("--answer", typed, questions.KEYS).items():
+        found[key] = GivenAnswer(typed_answer(text), f"--answer {key}", here)
+    answered |= found
     said = CellAnswers(answered, str(answers or "answers"), None if answers is not None else _ask, resumed)
     try:
         draft = interview(said, BusEyes(listen_s, reserve), output.stem, session.note)
@@ -144,26 +150,39 @@ def cell_new(
             _save(said, save_answers)
     if answers is None:
         kept.unlink(missing_ok=True)
-    left, items = left_over(draft), _checked(output, draft)
-    _show(output, said, left, items)
+    context = open_cell(output, None, reserve)
+    (arm,) = context.arms
+    arm_robot(context.loaded, arm)
+    context.profiles(arm)
+    left, items = left_over(draft), [context.bus_load(arm), *(context.check_drives(arm) if draft.looked else ())]
+    session = session_of()
+    shown = [item for item in items if item.severity in ("warn", "fail")]
+    if shown:
+        session.show(findings_table(shown, "differences between drives and cell file"))
+    guesses = [entry for entry in left if entry.key]
+    if guesses:
+        rows = [[entry.key, entry.value, entry.why, entry.how] for entry in guesses]
+        session.show(grid("assumed, to be determined", ["key", "value", "why", "how to determine it"], rows, left=4))
+    for entry in left:
+        if not entry.key:
+            session.show(f"to do: {entry.why}")
+    session.show(f"{output}: {len(said.said)} answers, {len(guesses)} keys assumed; next: servo-gateway check {output}")
     if json_out:
-        write_json(json_out, _as_json(output, said, left, items))
-    from gateway.preflight.drive_check import require_passed
+        from gateway.result.values import plain_values
 
+        write_json(
+            json_out,
+            {
+                "schema": 1,
+                "cell": str(output),
+                "answers": len(said.said),
+                "left": [
+                    {"key": entry.key, "value": entry.value, "why": entry.why, "how": entry.how} for entry in left
+                ],
+                "findings": plain_values(items),
+            },
+        )
     require_passed(items, f"{output} is written, but the drives fail the check")
-
-
-def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, GivenAnswer]:
-    """Return the answers given as options; file names are relative to the working folder."""
-    from gateway.newcell import questions
-    from gateway.newcell.answers import GivenAnswer
-    from gateway.newcell.forms import typed_answer
-
-    here = Path.cwd()
-    found = {key: GivenAnswer(value, f"--{key}", here) for key, value in named.items() if value is not None}
-    for key, text in key_values("--answer", pairs, questions.KEYS).items():
-        found[key] = GivenAnswer(typed_answer(text), f"--answer {key}", here)
-    return found
 
 
 def _ask(asked: OpenQuestion) -> Answer | None:
@@ -222,42 +241,3 @@ def _save(said: CellAnswers, path: Path) -> None:
     from gateway.newcell.answers import answers_text
 
     replace_file(path, answers_text(said, _named_from(path.parent)))
-
-
-def _checked(output: Path, draft: Draft) -> list[Finding]:
-    """Run the pre-flight check: of the drives if a bus is connected, otherwise of the files only."""
-    from gateway.jobs.cell_context import open_cell
-    from gateway.model.arm_model import arm_robot
-
-    context = open_cell(output, None, reserve)
-    (arm,) = context.arms
-    arm_robot(context.loaded, arm)
-    context.profiles(arm)
-    return [context.bus_load(arm), *(context.check_drives(arm) if draft.looked else ())]
-
-
-def _show(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence[Finding]) -> None:
-    session = session_of()
-    shown = [item for item in items if item.severity in ("warn", "fail")]
-    if shown:
-        session.show(findings_table(shown, "differences between drives and cell file"))
-    guesses = [entry for entry in left if entry.key]
-    if guesses:
-        rows = [[entry.key, entry.value, entry.why, entry.how] for entry in guesses]
-        session.show(grid("assumed, to be determined", ["key", "value", "why", "how to determine it"], rows, left=4))
-    for entry in left:
-        if not entry.key:
-            session.show(f"to do: {entry.why}")
-    session.show(f"{output}: {len(said.said)} answers, {len(guesses)} keys assumed; next: servo-gateway check {output}")
-
-
-def _as_json(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence[Finding]) -> dict[str, Any]:
-    from gateway.result.values import plain_values
-
-    return {
-        "schema": 1,
-        "cell": str(output),
-        "answers": len(said.said),
-        "left": [{"key": entry.key, "value": entry.value, "why": entry.why, "how": entry.how} for entry in left],
-        "findings": plain_values(items),
-    }

@@ -79,7 +79,13 @@ def config_dump(
     from gateway.jobs.cell_context import open_cell
 
     context, session = open_cell(cell, bus_spec, reserve), session_of()
-    by_node = _sheets(sheets)
+    by_node: dict[int | None, Path] = {}
+    for stated in sheets:
+        node, equals, name = stated.partition("=")
+        key = int(node) if equals and node.isdecimal() else None
+        if key in by_node:
+            raise click.UsageError(f"--eds {stated}: two files for {'all nodes' if key is None else f'node {key}'}.")
+        by_node[key] = Path(name if key is not None else stated)
     nodes: list[dict[str, Any]] = []
     for arm in context.arms:
         paths = {axis.node_id: _path(context, arm, axis.node_id, folder) for axis in arm.axis}
@@ -92,7 +98,12 @@ def config_dump(
             show_remarks(str(source), sheet.remarks)
         with context.connected(arm) as connected:
             found = [(drive, read_drive(drive.access, read[drive.node_id])) for drive in connected.drives]
-            _say_what_is_ours(connected)
+            ours = len(connected.noted)
+            if ours:
+                session_of().show(
+                    f"{ours} objects hold values written by the gateway (write ledger); `restore` resets them to the "
+                    f"original values"
+                )
         for joint, (drive, readout) in enumerate(found, start=1):
             node_id = drive.node_id
             beyond = beyond_limits(read[node_id], _stored(readout), node_id)
@@ -112,23 +123,6 @@ def config_dump(
                 session.show(f"  {len(readout.unread)} objects could not be read: {_few(readout.unread)}")
     if json_out:
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": nodes})
-
-
-def _sheets(sheets: Sequence[str]) -> dict[int | None, Path]:
-    """Return the data sheets of the command line by node; None = all other nodes.
-
-    Raises
-    ------
-    click.UsageError
-    """
-    found: dict[int | None, Path] = {}
-    for text in sheets:
-        node, equals, name = text.partition("=")
-        key = int(node) if equals and node.isdecimal() else None
-        if key in found:
-            raise click.UsageError(f"--eds {text}: two files for {'all nodes' if key is None else f'node {key}'}.")
-        found[key] = Path(name if key is not None else text)
-    return found
 
 
 def _sources(context: CellContext, arm: ArmConfig, by_node: dict[int | None, Path]) -> dict[int, Path]:
@@ -176,16 +170,6 @@ def _text_of(
 def _stored(readout: Readout) -> dict[tuple[int, int], Any]:
     """Return the content of the file of a node."""
     return readout.of_kind("configuration", "fixed")
-
-
-def _say_what_is_ours(nodes: Nodes) -> None:
-    """Report objects that the gateway has changed."""
-    ours = len(nodes.noted)
-    if ours:
-        session_of().show(
-            f"{ours} objects hold values written by the gateway (write ledger); `restore` resets them to the "
-            f"original values"
-        )
 
 
 def _dumped(arm: ArmConfig, readout: Readout, path: Path) -> dict[str, Any]:
@@ -355,7 +339,15 @@ def config_diff(
     _show(nodes)
     name = context.loaded.cell.name
     if junit_file is not None:
-        replace_file(junit_file, _junit(name, nodes))
+        from gateway.result.junit import Case, junit_of
+
+        cases = []
+        for each in nodes:
+            group = f"arm {each.arm} node {each.drive.node_id}"
+            for row in each.rows:
+                why = f"EDS {row.text(row.default)}, DCF {row.text(row.file)}, drive {row.text(row.drive)}"
+                cases.append(Case(group, row.name) if row.state == "equal" else Case(group, row.name, row.state, why))
+        replace_file(junit_file, junit_of(name, cases, datetime.now(UTC)))
     if json_out:
         write_json(json_out, {"schema": 1, "cell": name, "nodes": [node.as_json() for node in nodes]})
     odd = [node for node in nodes if node.different]
@@ -369,18 +361,6 @@ def config_diff(
             f"drives differ from their DCF files: {what}{f' (and {more} more)' if more else ''}; "
             "`config apply` writes the files to the drives, `config dump` writes the drive values to files"
         )
-
-
-def _junit(cell: str, nodes: Sequence[ComparedNode]) -> str:
-    from gateway.result.junit import Case, junit_of
-
-    cases = []
-    for node in nodes:
-        group = f"arm {node.arm} node {node.drive.node_id}"
-        for row in node.rows:
-            why = f"EDS {row.text(row.default)}, DCF {row.text(row.file)}, drive {row.text(row.drive)}"
-            cases.append(Case(group, row.name) if row.state == "equal" else Case(group, row.name, row.state, why))
-    return junit_of(cell, cases, datetime.now(UTC))
 
 
 # --------------------------------------------------------------------------------------------------------- writing
@@ -439,7 +419,13 @@ def config_apply(
             if any(counts) or store:
                 if not yes:
                     declined = f"declined: nothing was written to the drives of arm '{arm.name}'"
-                    confirm(_question(arm, counts, store), declined)
+                    text = (
+                        f"{sum(counts)} objects of {sum(map(bool, counts))} drives of arm '{arm.name}' will be written;"
+                    )
+                    text += " `restore` undoes this until the next run."
+                    if store:
+                        text += f" {len(counts)} drives then store all their parameters; `restore` does not undo that."
+                    confirm(f"{text} Write them?", declined)
                 require_at_rest(accesses)
             write_all(work, _report)
             for access in accesses if store else ():
@@ -503,11 +489,3 @@ def _address(text: str) -> tuple[int, int]:
         return int(index, 16), int(subindex or "0", 16)
     except ValueError:
         raise click.UsageError(f"--also {text}: give an object such as 2000:00.") from None
-
-
-def _question(arm: ArmConfig, counts: Sequence[int], store: bool) -> str:
-    text = f"{sum(counts)} objects of {sum(map(bool, counts))} drives of arm '{arm.name}' will be written;"
-    text += " `restore` undoes this until the next run."
-    if store:
-        text += f" {len(counts)} drives then store all their parameters; `restore` does not undo that."
-    return f"{text} Write them?"

@@ -23,8 +23,7 @@ from rich.text import Text
 
 from drives.printable import without_controls
 from gateway.commands.output_queue import Outlet
-from gateway.result.interval import SAID
-from gateway.result.numerals import with_degrees, with_interval
+from gateway.result.numerals import SAID, with_degrees, with_interval
 
 if TYPE_CHECKING:
     from gateway.result.result import Finding, Result

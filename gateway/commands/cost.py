@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gateway.commands.console import Session, axis_names, grid, number
+from gateway.commands.console import axis_names, grid, number
 from gateway.commands.measure import arm_option
 from gateway.commands.shared_options import (
     FILE,
@@ -23,7 +23,7 @@ from gateway.commands.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from gateway.cost.job import LoadCost, MoveCost, SegmentCost
+    from gateway.cost.job import MoveCost, SegmentCost
 
 #: Segments of a path that are listed at most; --json has all of them.
 MOST_LISTED = 40
@@ -63,6 +63,7 @@ def cost(
     from gateway.cell.config import load_cell
     from gateway.cost.job import cost_of
     from gateway.model.arm_model import arm_named
+    from gateway.result.numerals import SAID, half_width, with_interval
     from gateway.result.values import plain_values
 
     loaded = load_cell(cell)
@@ -73,13 +74,6 @@ def cost(
         found = cost_of(loaded, arm, load_file, label, path_file)
     if json_out:
         write_json(json_out, plain_values(found))
-    _show(found, session)
-
-
-def _show(found: LoadCost, session: Session) -> None:
-    from gateway.result.interval import SAID, half_width
-    from gateway.result.numerals import with_interval
-
     session.show(f"load '{found.load}': {with_interval(found.mass_kg, found.mass_std_kg)} kg on arm '{found.arm}'")
     title = f"cycle time as planned with each load; torque reserve with the mounted load, % of the limit ({SAID})"
     has_gripper = math.isfinite(found.moves[0].settings[-1].load_acceleration_reserve)

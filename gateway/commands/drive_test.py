@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.measure import arm_option
-from gateway.commands.motion_options import AT_HAND, MoveChoice, move_options, stoppable
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
@@ -66,7 +66,7 @@ def drive_test(
     from gateway.commands.pages import write_page
     from gateway.drivetest.run import TEST_ENDS, DriveTestRun, axes_named
     from gateway.jobs.cell_context import open_cell
-    from gateway.jobs.frame import begin_motion
+    from gateway.jobs.frame import AT_HAND, begin_motion
     from gateway.model.arm_model import arm_named
     from gateway.report.drive_test_page import render_drive_test
 

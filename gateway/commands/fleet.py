@@ -13,7 +13,7 @@ from gateway.commands.shared_options import FILE, common, json_option, refuse_to
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
-    from gateway.result.fleet import FleetHealth
+    pass
 
 STORE = click.argument("store", type=click.Path(path_type=Path, file_okay=False))
 #: Number of robots listed at the terminal.
@@ -91,9 +91,11 @@ def fleet_analyse(
 
     A cluster must see STORE under the same path. After an interruption, run it again: finished work is kept.
     """
+    from gateway.commands.console import grid
     from gateway.fleet.analysis import AsOf, run_analysis
     from gateway.fleet.store import open_store
     from gateway.fleet.workers import Certificates, workers
+    from gateway.report.fleet_page import headline
     from gateway.result.values import plain_values
 
     if scheduler is not None and count is not None:
@@ -107,7 +109,12 @@ def fleet_analyse(
     security = Certificates(*certificates) if certificates else None
     with workers(scheduler, count, security) as spread, session.working("analysis"):
         found = run_analysis(opened, spread, asked)
-    _show(found)
+    session = session_of()
+    asking = [line for line in found.robots if line.state != "healthy"][:NAMED]
+    rows = [[line.robot, line.state, line.why[0] if line.why else "", line.last_seen] for line in asking]
+    if rows:
+        session.show(grid("robots, most urgent first", ["robot", "state", "why", "last seen"], rows, left=4))
+    session.show(f"{headline(found)}; {found.checks} checks, {found.estimated} recordings estimated")
     if json_out:
         write_json(json_out, plain_values(found))
     if found.failed:
@@ -115,7 +122,7 @@ def fleet_analyse(
 
 
 def _moment(text: str | None) -> datetime:
-    from gateway.fleet.identity import moment
+    from gateway.fleet.columns import moment
 
     if text is None:
         return datetime.now(UTC)
@@ -123,18 +130,6 @@ def _moment(text: str | None) -> datetime:
         return moment(text)
     except ValueError as error:
         raise click.BadParameter(f"--as-of {text}: write a day such as 2026-03-01") from error
-
-
-def _show(found: FleetHealth) -> None:
-    from gateway.commands.console import grid
-    from gateway.report.fleet_page import headline
-
-    session = session_of()
-    asking = [line for line in found.robots if line.state != "healthy"][:NAMED]
-    rows = [[line.robot, line.state, line.why[0] if line.why else "", line.last_seen] for line in asking]
-    if rows:
-        session.show(grid("robots, most urgent first", ["robot", "state", "why", "last seen"], rows, left=4))
-    session.show(f"{headline(found)}; {found.checks} checks, {found.estimated} recordings estimated")
 
 
 @fleet.command("report")

@@ -33,7 +33,6 @@ from gateway.commands.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from gateway.follow.settings import Prepared
     from gateway.result.follow import FollowResult
 
 
@@ -81,7 +80,7 @@ def follow(
     """
     from dataclasses import asdict, replace
 
-    from gateway.feedforward.identified import with_identified
+    from gateway.feedforward.identified import notes_of, with_identified
     from gateway.follow.comparison import result_of
     from gateway.follow.path_run import follow as drive
     from gateway.follow.settings import prepare
@@ -100,7 +99,15 @@ def follow(
     refuse_other_axes(arm, "follow")
     prepared = prepare(context.loaded, arm, path_file, load_file, label)
     session = session_of()
-    _announce(prepared, session)
+    path = prepared.path
+    names = ", ".join(setting.name for setting in prepared.settings)
+    session.note(f"path {path.name}: {path.duration_s:.1f} s under each of the settings {names}")
+    for setting in prepared.settings:
+        if setting.load is not None:
+            com = " ".join(f"{1000 * value:.0f}" for value in setting.load.com_m)
+            session.note(f"{setting.name}: {setting.load.mass_kg:.2f} kg at {com} mm in link_6 ({setting.load.source})")
+    for joints, note in notes_of([axis.notes for axis in prepared.model.sources]):
+        session.note(f"{joints}: {note}")
     with stoppable(moving) as options, context.opened(arm, trace=trace, offsets=("velocity", "torque")) as opened:
         identities = [asdict(identity) for identity in opened.identities]
         options = begin_motion(context, (opened,), options, moving.ask, session.note)
@@ -121,21 +128,6 @@ def follow(
     if report_file:
         session.show(f"report: {report_file}")
     fail_on_findings(result.findings)
-
-
-def _announce(prepared: Prepared, session: Session) -> None:
-    """Print path, settings and deviations from the cell file."""
-    from gateway.feedforward.identified import notes_of
-
-    path = prepared.path
-    names = ", ".join(setting.name for setting in prepared.settings)
-    session.note(f"path {path.name}: {path.duration_s:.1f} s under each of the settings {names}")
-    for setting in prepared.settings:
-        if setting.load is not None:
-            com = " ".join(f"{1000 * value:.0f}" for value in setting.load.com_m)
-            session.note(f"{setting.name}: {setting.load.mass_kg:.2f} kg at {com} mm in link_6 ({setting.load.source})")
-    for joints, note in notes_of([axis.notes for axis in prepared.model.sources]):
-        session.note(f"{joints}: {note}")
 
 
 def _show(result: FollowResult, session: Session) -> None:

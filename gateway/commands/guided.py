@@ -1,21 +1,18 @@
-"""Command `commission`: guided commissioning."""
+"""Command `commission`: guided commissioning, also in thermal order."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
 
 from drives.files import replace_file
-from gateway.commands.console import Session, findings_table
-from gateway.commands.measure import arm_option, show_plan
+from gateway.commands.compare import JSON_NAME, PAGE_NAME, repeat, repeat_option
+from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
-from gateway.commands.move import announce, go_with_progress
-from gateway.commands.repeat import JSON_NAME, PAGE_NAME, repeat, repeat_option
 from gateway.commands.result_output import fail_on_findings, show_result, write_junit
 from gateway.commands.shared_options import (
     accept_options,
@@ -28,31 +25,36 @@ from gateway.commands.shared_options import (
     refuse_unwritable,
     reserve,
     session_of,
-    typed_line,
     write_json,
 )
-from gateway.commands.thermal import longest_warm_up_s, thermal_option, warm_up_option
 from gateway.commands.until import until_option
 from gateway.data.labels import BARE_LABEL
 from gateway.errors import GatewayError
 
 if TYPE_CHECKING:
-    from gateway.acquire.goto import Destination
-    from gateway.acquire.plan import Plan
-    from gateway.acquire.session import RecordRequest
-    from gateway.acquire.until import LoadSearch, NextStep
     from gateway.acquire.until_goal import Goal
     from gateway.cell.config import LoadedCell
-    from gateway.data.recording.recorded import Recording
-    from gateway.motion.opening import OpenArm
-    from gateway.motion.stream import MoveOptions
     from gateway.result.acceptance import Expected
-    from gateway.result.result import Finding, Result
+    from gateway.result.result import Result
 
-#: Answers that do not confirm a prompt, after which the command ends: a program writes them, not a person.
-MOST_ANSWERS: Final = 100
 #: Recording in the folder of a measurement.
 RECORDING: Final = "run.h5"
+
+#: Default of the longest warm-up [min].
+WARM_UP_MIN = 30.0
+
+thermal_option = click.option(
+    "--thermal",
+    is_flag=True,
+    help="Measure loads in forward and reverse order, the unloaded arm twice in the middle, so that drift cancels.",
+)
+warm_up_option = click.option(
+    "--warm-up",
+    "warm_up_min",
+    type=click.FloatRange(min=0, max=240),
+    metavar="MINUTES",
+    help="With --thermal: longest warm-up motion, ended when friction is steady; default: 30.",
+)
 
 
 @click.command()
@@ -87,16 +89,23 @@ def commission(
     moving: MoveChoice,
 ) -> None:
     """Guided commissioning: check, unloaded arm, each load, diagnosis, validation poses, report. The arm moves."""
+    from gateway.commands.terminal import terminal
     from gateway.jobs.cell_context import open_cell
     from gateway.jobs.commission import WARM_UP, Job
     from gateway.jobs.commission import commission as run
     from gateway.model.arm_model import arm_named, arm_robot
-    from gateway.pipeline.accept import accept
+    from gateway.pipeline.finalize import accept
     from gateway.report.render import render
     from gateway.result.acceptance import check_expected
     from gateway.result.result import to_dict
 
-    _refuse_labels(labels)
+    if BARE_LABEL in labels:
+        raise click.UsageError(
+            f"--load {BARE_LABEL} means the unloaded arm, which is always measured: give only the loads"
+        )
+    twice = next((label for label in labels if labels.count(label) > 1), None)
+    if twice is not None:
+        raise click.UsageError(f"--load {twice} is given twice: give each load once")
     if repetitions is not None and junit_file is not None:
         raise click.UsageError("--junit holds one measurement, --repeat makes several: give one of them")
     check_expected(expected, labels)
@@ -126,7 +135,7 @@ def commission(
                 repetition=repetition,
                 outdated=(*written, *summaries),
             )
-            result = run(job, Terminal(session, moving))
+            result = run(job, terminal(session, moving))
         result = accept(result, expected, arm)
         write_json(str(result_file), to_dict(result))
         replace_file(page, render(result))
@@ -141,17 +150,6 @@ def commission(
         measure(1, out)
     else:
         repeat(repetitions, out, resume, measure)
-
-
-def _refuse_labels(labels: Sequence[str]) -> None:
-    """Refuse the unloaded arm among the loads, and repeated labels."""
-    if BARE_LABEL in labels:
-        raise click.UsageError(
-            f"--load {BARE_LABEL} means the unloaded arm, which is always measured: give only the loads"
-        )
-    twice = next((label for label in labels if labels.count(label) > 1), None)
-    if twice is not None:
-        raise click.UsageError(f"--load {twice} is given twice: give each load once")
 
 
 @contextmanager
@@ -186,80 +184,18 @@ def recording_in(out: Path, name: str, resume: bool, loaded: LoadedCell) -> Path
     return path
 
 
-@dataclass(frozen=True, slots=True)
-class Terminal:
-    """Dialogue at the terminal.
+def longest_warm_up_s(thermal: bool, warm_up_min: float | None, until: object | None) -> float | None:
+    """Return the longest warm-up [s] of the requested thermal procedure; None if it is not requested.
 
-    Attributes
-    ----------
-    session : Session
-    moving : MoveChoice
-    refuse : callable
-        Checks a plan before the drives are opened.
+    Raises
+    ------
+    UsageError
+        --warm-up without --thermal, or --until with it.
     """
-
-    session: Session
-    moving: MoveChoice
-    refuse: Callable[[Plan], None] = lambda _plan: None
-
-    def checked(self, items: Sequence[Finding]) -> None:
-        """Show warnings and failures."""
-        shown = [item for item in items if item.severity in ("warn", "fail")]
-        if shown:
-            self.session.show(findings_table(shown, "pre-flight check"))
-        else:
-            self.session.note("pre-flight check passed")
-
-    def planned(self, plan: Plan) -> None:
-        """Show the plan."""
-        self.refuse(plan)
-        show_plan(plan)
-
-    def ask(self, question: str, meanwhile: Callable[[], None]) -> None:
-        """Ask for permission to move."""
-        self.moving.ask(question, meanwhile)
-
-    def announced(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-        """Announce a posture to move to."""
-        announce(self.session, opened, target, plan, options)
-
-    def bring(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-        """Move there."""
-        go_with_progress(self.session, opened, target, plan, options)
-
-    def mount(self, label: str, opened: OpenArm) -> None:
-        """Ask for a load, or for an empty flange; its label or `yes` confirms it, typed after the prompt.
-
-        At a terminal the drives are read once a second meanwhile; what has changed ends the prompt.
-        """
-        do = "Remove everything from the flange" if label == BARE_LABEL else f"Mount load '{label}' on the flange"
-        answer = f"type {label} or yes, and press Enter"
-        state = opened.group.gate(full=True)
-        state.require_approach()
-        self.session.note(f"Arm '{opened.config.name}': {state}. {do}, then {answer}.")
-        prompt = f"HANG LOAD {label}\n"
-        for _ in range(MOST_ANSWERS):
-            line = typed_line(prompt, opened.group.attend, err=False)
-            if line == label or line.lower() == "yes":
-                return
-            self.session.note(f"This does not confirm it: once it is done, {answer}.", -1)
-            prompt = ""
-        raise click.Abort
-
-    def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
-        """Record with a progress bar."""
-        from gateway.commands.progress import recording_with_progress
-
-        recording_with_progress(self.session, opened, plan, request, options)
-
-    def measure_until(
-        self, opened: OpenArm, search: LoadSearch, earlier: Recording | None, path: Path, options: MoveOptions
-    ) -> NextStep:
-        """Record pose by pose with a progress bar; return the last decision."""
-        from gateway.commands.progress import recording_until
-
-        return recording_until(self.session, opened, search, path, earlier, options)[1]
-
-    def say(self, text: str) -> None:
-        """Print a note."""
-        self.session.note(text)
+    if not thermal:
+        if warm_up_min is not None:
+            raise click.UsageError("--warm-up needs --thermal")
+        return None
+    if until is not None:
+        raise click.UsageError("--thermal measures all poses twice, --until as few as possible: give one of them")
+    return 60.0 * (WARM_UP_MIN if warm_up_min is None else warm_up_min)

@@ -87,8 +87,7 @@ def _analysed(
 ) -> None:
     """Read the data, analyse them, write and show the result; exit with code 7 on a failing finding."""
     from gateway.identify.nuisance import parse_torque_gain
-    from gateway.pipeline.accept import accept, check_against_data
-    from gateway.pipeline.finalize import finalize
+    from gateway.pipeline.finalize import accept, check_against_data, finalize
     from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
     from gateway.pipeline.saved_loads import save_loads
     from gateway.result.result import to_dict

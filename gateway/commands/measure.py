@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.commands.console import axis_names, axis_table, grid
+from gateway.commands.console import axis_table
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
-from gateway.commands.plan_moving import moving_plan_options, show_assumed, show_moving_plan
+from gateway.commands.plan_moving import moving_plan_options, show_moving_plan
 from gateway.commands.shared_options import (
     FILE,
     KNOWN_FORM,
@@ -33,15 +33,11 @@ from gateway.commands.shared_options import (
     unit_option,
     write_json,
 )
-from gateway.commands.until import as_json, search_for, show_search, until_option
-from gateway.errors import InputError
+from gateway.commands.until import as_json, until_option
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
-    from gateway.acquire.until import LoadSearch
     from gateway.acquire.until_goal import Goal
-    from gateway.cell.config import ArmConfig, LoadedCell
-    from gateway.data.recording.recorded import Recording
     from gateway.excite.expected import Purpose
     from gateway.pipeline.known import KnownLoad
 
@@ -82,6 +78,7 @@ def plan(
     from gateway.cell.config import load_cell
     from gateway.commands.pages import write_page
     from gateway.commands.plan_view import space_in_words, view_of_moving_plan, view_of_plan
+    from gateway.commands.terminal import show_plan
     from gateway.excite.plan_file import plan_as_plain
     from gateway.excite.planning import MovingRequest, make_moving_plan
     from gateway.model.arm_model import arm_named, arm_robot
@@ -112,7 +109,7 @@ def plan(
             if distinguish:
                 inputs = collect_inputs(ModelRequest(cell=cell, arm=arm_name), ())
                 chosen = plan_distinguishing(chosen, loaded, config, inputs, distinguish)
-        show_plan(chosen)
+        show_plan(session, chosen)
         page, body, drawn = partial(view_of_plan, chosen), plan_as_json(chosen), "poses, paths and keep-out boxes"
     workspace = workspace_of(config, robot)
     session.show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
@@ -130,34 +127,6 @@ def _poses(
     numbers = [value for value in values if value.strip().isdecimal()]
     postures = tuple(joint_angles(value, session_of(ctx)) for value in values if value not in numbers)
     return postures, tuple(map(int, numbers))
-
-
-def show_plan(chosen: Plan) -> None:
-    """Print poses, duration and expected uncertainty of a plan."""
-    session = session_of()
-    rows = [
-        [str(pose.number), "fit" if pose.purpose == "fit" else "fresh", *(f"{math.degrees(q):.1f}" for q in pose.q_rad)]
-        for pose in chosen.poses
-    ]
-    columns = ["pose", "for", *axis_names(len(chosen.poses[0].q_rad))]
-    session.show(grid(f"arm {chosen.arm}: rest poses [deg]", columns, rows, left=2))
-    session.show(f"each pose approached from both directions, about {chosen.duration_s / 60:.1f} min per load")
-    expected = chosen.expectation
-    if expected is not None:
-        x, y, z = (1000 * value for value in expected.com_std_m)
-        session.show(
-            f"expected standard deviation for a load of {expected.reference_load_kg:.3g} kg: "
-            f"mass {expected.mass_std_kg:.3g} kg, centre of gravity {x:.2g} {y:.2g} {z:.2g} mm"
-        )
-        show_assumed(expected.noise_nm, expected.noise_source, expected.gain_std)
-    if about := chosen.distinguish:
-        before = about["standard_strength"]
-        lines = [[name, f"{before[name]:.3g}", f"{strength:.3g}"] for name, strength in about["strength"].items()]
-        session.show(grid("expected strength over the noise", ["effect", "standard plan", "this plan"], lines))
-        std = (about["standard_expected"] or {}).get("mass_std_kg", math.nan)
-        session.show(f"standard plan: {about['standard_duration_s'] / 60:.1f} min per load, mass {std:.3g} kg")
-        if about["not_shown_by_rest_poses"]:
-            session.note(f"no choice of rest poses shows {', '.join(about['not_shown_by_rest_poses'])}")
 
 
 def plan_as_json(chosen: Plan) -> dict[str, Any]:
@@ -265,17 +234,15 @@ def record(
 
     The first time with these drives, the command first proves that they stop on loss of the master.
     """
-    from gateway.acquire.plan import Plan
-    from gateway.acquire.session import MOVING_KEYS, REST_KEYS, RecordRequest
-    from gateway.commands.progress import recording_until, recording_with_progress
-    from gateway.commands.record_moving import record_in_motion
-    from gateway.data.recording.reader import read
-    from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
+    from gateway.acquire.session import MOVING_KEYS, REST_KEYS
+    from gateway.commands.terminal import terminal
+    from gateway.jobs import measure
     from gateway.jobs.cell_context import open_cell
-    from gateway.jobs.frame import begin_motion, flange_question
     from gateway.model.arm_model import arm_named, arm_robot
+    from gateway.pipeline.inputs import ModelRequest
     from gateway.result.values import plain_values
 
+    postures, again = poses
     chosen_poses = any(poses) or result is not None
     if goal is None and (bare is not None or known):
         raise click.UsageError("--bare and --known are references for --until: give --until as well")
@@ -287,64 +254,40 @@ def record(
         raise click.UsageError("--until chooses the poses itself: omit --pose and --next")
     if not in_motion and (moving_plan is not None or rate_hz is not None):
         raise click.UsageError("--plan and --rate need --moving")
+    if sum(map(bool, (postures, again, result))) > 1:
+        raise click.UsageError("--pose J1,J2,.., --pose N and --next exclude each other: give one of them")
     context, session = open_cell(cell, bus_spec, reserve, moving.pacing), session_of()
     arm = arm_named(context.loaded, arm_name)
-    resume = resume or bool(poses[1])
-    if output.exists() and not resume:
-        raise InputError(f"{output} exists; {NOT_REPLACED}")
-    earlier = read(output) if output.exists() else None
-    refuse_other_cell(earlier, context.loaded.text)
-    request, more = RecordRequest(label, output, resume, bool(poses[1])), dict[str, Any]()
-    if in_motion:
-        summary = record_in_motion(context, arm, request, earlier, moving, moving_plan, rate_hz, trace)
-    else:
-        note_remarks(arm_robot(context.loaded, arm))
-        source: Plan | LoadSearch
-        if goal is None:
-            source = _plan_for(context.loaded, arm, output, earlier, *poses, result)
+    if any(len(q_rad) != len(arm.axis) for q_rad in postures):
+        raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes: give one joint angle per axis")
+    note_remarks(arm_robot(context.loaded, arm))
+    operator = terminal(session, moving)
+    if moving.yes and not in_motion:
+        operator = replace(operator, planned=lambda _arm, _plan: None)
+    more = dict[str, Any]()
+    with stoppable(moving) as options:
+        run = context, label, output
+        if in_motion:
+            summary = measure.record_moving(
+                *run, operator, options, arm=arm.name, resume=resume, plan=moving_plan, rate_hz=rate_hz, trace=trace
+            )
+        elif goal is None:
+            chosen = result or again or postures
+            summary = measure.record(*run, operator, options, arm=arm.name, resume=resume, poses=chosen, trace=trace)
         else:
-            source, earlier = search_for(context, arm, label, output, goal, bare, known)
-        if not moving.yes:
-            show_plan(source) if isinstance(source, Plan) else show_search(source)
-        with stoppable(moving) as options, context.opened(arm, trace=trace) as opened:
-            options = begin_motion(context, (opened,), options, moving.ask, session.note, also=flange_question(label))
-            if isinstance(source, Plan):
-                summary = recording_with_progress(session, opened, source, request, options)
-            else:
-                summary, decision = recording_until(session, opened, source, output, earlier, options)
-                more = {"until": as_json(summary.reason, decision)}
-        session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} already recorded")
+            model = ModelRequest(cell=cell, arm=arm.name, bare=bare, known=known)
+            summary, decision = measure.record_until_known(
+                *run, goal, operator, options, model=model, resume=resume, trace=trace
+            )
+            session.show(summary.reason)
+            more = {"until": as_json(summary.reason, decision)}
+    counted = f"{summary.periods} periods" if in_motion else f"{summary.visits} visits"
+    session.show(f"{output}: {counted} under load {label}, {summary.skipped} already recorded")
+    if not in_motion:
         session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
+    for name, period in summary.missed:
+        session.show(f"'{name}', period {period}: SYNCs not answered in two attempts; repeat it with --resume")
     if json_out:
         body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more}
         left_out = REST_KEYS if in_motion else MOVING_KEYS
         write_json(json_out, {key: body[key] for key in body if key not in left_out})
-
-
-def _plan_for(
-    loaded: LoadedCell,
-    arm: ArmConfig,
-    output: Path,
-    earlier: Recording | None,
-    poses: tuple[tuple[float, ...], ...],
-    again: tuple[int, ...],
-    result: Path | None,
-) -> Plan:
-    """Return the requested poses, otherwise those of the continued file, otherwise those of the cell."""
-    from gateway.acquire.planning import asked_by, make_plan, plan_again, plan_asked
-    from gateway.acquire.session import plan_of_recording
-
-    if sum(map(bool, (poses, again, result))) > 1:
-        raise click.UsageError("--pose J1,J2,.., --pose N and --next exclude each other: give one of them")
-    if any(len(q_rad) != len(arm.axis) for q_rad in poses):
-        raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes: give one joint angle per axis")
-    if again:
-        if earlier is None:
-            raise InputError(f"--pose {again[0]}: {output} does not exist yet, so it has no pose with this number")
-        return plan_again(loaded, arm, again, earlier)
-    if result is not None:
-        q_rad, taken = asked_by(result, loaded, arm)
-        return plan_asked(loaded, arm, q_rad, earlier, taken)
-    if poses:
-        return plan_asked(loaded, arm, poses, earlier)
-    return make_plan(loaded, arm=arm.name) if earlier is None else plan_of_recording(loaded, earlier, arm.name)

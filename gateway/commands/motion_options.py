@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from gateway.motion.stream import MoveOptions
 
 FULL_PERCENT: Final = 100
-#: What the question adds before a test that lets drives and brakes stop the arm.
-AT_HAND: Final = " Keep the emergency stop within reach."
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,24 +119,21 @@ def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
 
     Output is queued meanwhile, so that a blocked terminal delays no SYNC.
     """
+    from gateway.jobs.frame import stoppable as stopped_by_signals
     from gateway.motion.holdtorun import held_key
-    from gateway.motion.observer import Observers
-    from gateway.motion.stops import StopDesk, outputs_watched, signals_ask
-    from gateway.motion.stream import MoveOptions
+    from gateway.motion.stops import outputs_watched
 
-    desk = StopDesk(outputs_watched())
     with ExitStack() as stack:
-        stack.enter_context(signals_ask(desk))
+        options = stack.enter_context(stopped_by_signals(move.override / 100.0, outputs_watched()))
+        desk = options.desk
         stack.enter_context(session_of().detached())
-        observers = Observers()
         if move.live:
             from gateway.live.page import LivePage
 
             page = stack.enter_context(LivePage(f"servo-gateway {click.get_current_context().info_name}"))
             desk.watch(page.feed.pressed)
             session_of().note(f"live page: {page.address}")
-            observers.add(page.feed)
-        options = MoveOptions(desk, move.override / 100.0, observers=observers)
+            options.observers.add(page.feed)
         if not move.hold_to_run:
             yield options
             return

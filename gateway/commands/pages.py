@@ -59,11 +59,6 @@ def write_page(path: Path, html: str) -> None:
             f"{path}: PDF output needs an installed browser ({', '.join(BROWSERS[:3])} or similar): install "
             f"chromium, or write {instead} and print it from any browser"
         )
-    replace_file(path, _printed(browser, html, path))
-
-
-def _printed(browser: str, html: str, path: Path) -> bytes:
-    """Return a page as PDF."""
     with tempfile.TemporaryDirectory(prefix="servo-gateway-") as folder:
         page, pdf = Path(folder, "page.html"), Path(folder, "page.pdf")
         page.write_text(html, encoding="utf-8")
@@ -80,4 +75,4 @@ def _printed(browser: str, html: str, path: Path) -> bytes:
     if not content.startswith(b"%PDF"):
         last = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
         raise ConfigError(f"{path}: {browser} printed no PDF ({last[0]}); write {path.stem}.html, and print that")
-    return content
+    replace_file(path, content)

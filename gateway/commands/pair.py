@@ -26,13 +26,12 @@ from gateway.commands.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from gateway.commands.console import Session
     from gateway.jobs.cell_context import CellContext
     from gateway.motion.stream import MoveOptions
-    from gateway.pair.link import PairLink
     from gateway.pair.pair_cell import PairCell
     from gateway.pair.pair_store import PairStore
-    from gateway.result.pair import CycleSummary, FunctionOrigin, LinkStatistics, StoredFunction
+    from gateway.pair.session import PairLink
+    from gateway.result.pair import CycleSummary, FunctionOrigin, StoredFunction
 
 store_option = click.option(
     "--store",
@@ -68,7 +67,8 @@ def _in_motion(
 ) -> Generator[tuple[PairLink, MoveOptions]]:
     """Open both arms and ask; the stop of their drives was proven before, in slow motion with open grippers."""
     from gateway.jobs.frame import begin_motion
-    from gateway.pair.link import open_link
+    from gateway.pair.pair_motion import refuse_elsewhere
+    from gateway.pair.session import open_link
 
     session = session_of()
     for arm in pair.arms:
@@ -77,6 +77,7 @@ def _in_motion(
     held = "with the part gripped" if pair.gap is None else f"with '{pair.arms[1].config.name}' clear of the part"
     what = f"are at the start {held} and will {what}"
     with context.with_move_command(), stoppable(moving) as options, open_link(pair, context.ledger) as link:
+        refuse_elsewhere(pair, link.together.where())
         options = begin_motion(context, link.opened, options, moving.ask, session.note, what=what, proof="stored")
         with context.last_seconds(options, *link.opened):
             yield link, options
@@ -183,17 +184,13 @@ def run_pair(
             lambda cycle: session.show(_cycle_line(cycle.summary)),
             PairMotionOptions(speed=at, moves=options),
         )
-    if result.statistics is not None:
-        _show_statistics(result.statistics, session)
+    if (statistics := result.statistics) is not None:
+        session.show(f"SYNCs {list(statistics.cycles)}, incomplete epochs {list(statistics.incomplete)}")
+        if statistics.skew_s is not None:
+            median, p99 = 1e6 * statistics.skew_s.median, 1e6 * statistics.skew_s.p99
+            session.show(f"slave's SYNC after the master's: median {median:.0f} us, p99 {p99:.0f}")
     if json_out:
         write_json(json_out, {"schema": SCHEMA, **plain_values(result)})
-
-
-def _show_statistics(statistics: LinkStatistics, session: Session) -> None:
-    session.show(f"SYNCs {list(statistics.cycles)}, incomplete epochs {list(statistics.incomplete)}")
-    if statistics.skew_s is not None:
-        median, p99 = 1e6 * statistics.skew_s.median, 1e6 * statistics.skew_s.p99
-        session.show(f"slave's SYNC after the master's: median {median:.0f} us, p99 {p99:.0f}")
 
 
 def _cycle_line(summary: CycleSummary) -> str:
@@ -231,7 +228,17 @@ def learn(action: str, cell: Path, store: Path | None, json_out: str | None) -> 
         functions={stage: _origin(kept.load(stage)) for stage in STAGES},
     )
     session.show(f"learning is {status.learning}")
-    rows = [[stage, *(("-",) * 5 if one is None else _function_row(one))] for stage, one in status.functions.items()]
+    rows = [
+        [
+            stage,
+            *(
+                ("-",) * 5
+                if one is None
+                else [str(one.points), one.learn_source, number(one.speed), one.embodiment, one.date]
+            ),
+        ]
+        for stage, one in status.functions.items()
+    ]
     session.show(grid("functions", ["", "points", "from", "speed", "embodiment", "date"], rows, left=6))
     if json_out:
         write_json(json_out, plain_values(status))
@@ -250,10 +257,6 @@ def _origin(stored: StoredFunction | None) -> FunctionOrigin | None:
         embodiment=stored.embodiment,
         cycles=stored.cycles,
     )
-
-
-def _function_row(one: FunctionOrigin) -> list[str]:
-    return [str(one.points), one.learn_source, number(one.speed), one.embodiment, one.date]
 
 
 @click.command()

@@ -75,11 +75,30 @@ def show_moving_plan(plan: MovingPlan) -> None:
     minutes = expected["duration_s"] / 60
     session.show(f"{expected['duration_s']:.0f} s of motion per load, {minutes:.1f} min, from rest to rest")
     for motion in expected["limits"]:
-        _show_shares(motion)
+        share = dict(motion["share"])
+        load = share.pop("load_acceleration", None)
+        lines = {kind: [100.0 * value for value in values] for kind, values in share.items()}
+        share_rows = [[kind, *(f"{value:.0f}" for value in values)] for kind, values in lines.items()]
+        columns = ["", *axis_names(len(lines["speed"]))]
+        session = session_of()
+        session.show(grid(f"{motion['name']}: use of the limits after margins [%]", columns, share_rows))
+        if load is not None:
+            session.show(f"{motion['name']}: {100.0 * load:.0f} % of load_acceleration_m_s2, less its margin")
     for what in expected["not_checked"]:
         session.show(f"not checked: {what}")
     if expected.get("load"):
-        _show_load(expected["load"])
+        about_load = expected["load"]
+        session, about = session_of(), about_load["reference"]
+        com = ["-" if value is None else f"{1000 * value:.2g}" for value in about_load["com_std_m"]]
+        mass = "-" if about_load["mass_std_kg"] is None else f"{about_load['mass_std_kg']:.3g}"
+        session.show(
+            f"expected standard deviation for a load of {about['mass_kg']:.3g} kg ({about['source']}), unloaded and "
+            f"loaded: "
+            f"mass {mass} kg, centre of gravity {' '.join(com)} mm"
+        )
+        lines = {"inertia": about["inertia_kg_m2"], "std": about_load["inertia_std_kg_m2"]}
+        load_rows = [[name, *map(_small, values)] for name, values in lines.items()]
+        session.show(grid(f"inertia [kg m2], {about['inertia_source']}", ["", *_INERTIA], load_rows))
     stds = {words: expected[part][key] for part, key, words in _PER_AXIS if part in expected}
     if stds:
         session.show(_small_table("expected standard deviation, from one unloaded run", stds))
@@ -99,33 +118,6 @@ def _row(excitation: Excitation) -> list[str]:
     joints = "all" if excitation.joint == 0 else f"J{excitation.joint}"
     period_s, periods = excitation.period_s, excitation.periods
     return [excitation.name, joints, f"{period_s:.1f}", str(periods), f"{periods * period_s:.0f}"]
-
-
-def _show_shares(motion: Mapping[str, Any]) -> None:
-    """Return the use of the planning limits by a trajectory."""
-    share = dict(motion["share"])
-    load = share.pop("load_acceleration", None)
-    lines = {kind: [100.0 * value for value in values] for kind, values in share.items()}
-    rows = [[kind, *(f"{value:.0f}" for value in values)] for kind, values in lines.items()]
-    columns = ["", *axis_names(len(lines["speed"]))]
-    session = session_of()
-    session.show(grid(f"{motion['name']}: use of the limits after margins [%]", columns, rows))
-    if load is not None:
-        session.show(f"{motion['name']}: {100.0 * load:.0f} % of load_acceleration_m_s2, less its margin")
-
-
-def _show_load(about_load: Mapping[str, Any]) -> None:
-    session, about = session_of(), about_load["reference"]
-    com = ["-" if value is None else f"{1000 * value:.2g}" for value in about_load["com_std_m"]]
-    mass = "-" if about_load["mass_std_kg"] is None else f"{about_load['mass_std_kg']:.3g}"
-    session.show(
-        f"expected standard deviation for a load of {about['mass_kg']:.3g} kg ({about['source']}), unloaded and "
-        f"loaded: "
-        f"mass {mass} kg, centre of gravity {' '.join(com)} mm"
-    )
-    lines = {"inertia": about["inertia_kg_m2"], "std": about_load["inertia_std_kg_m2"]}
-    rows = [[name, *map(_small, values)] for name, values in lines.items()]
-    session.show(grid(f"inertia [kg m2], {about['inertia_source']}", ["", *_INERTIA], rows))
 
 
 def show_assumed(noise_nm: Sequence[float], noise_source: str, gain_std: Sequence[float]) -> None:

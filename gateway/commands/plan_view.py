@@ -53,8 +53,7 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
     from gateway.model.kinematics import flange_frames
     from gateway.motion.joint_path import path_positions, postures_at
     from gateway.report.page import Head
-    from gateway.report.plan import PATH, scene_page
-    from gateway.report.space import pose_figures
+    from gateway.report.scene import PATH, pose_figures, scene_page
     from gateway.result.drawn import DrawnPose
 
     points = _points(workspace, [pose.q_rad for pose in plan.poses])
@@ -84,7 +83,7 @@ def view_of_moving_plan(plan: MovingPlan, workspace: Workspace) -> str:
     from gateway.excite.limits import PLANNED, states_of
     from gateway.model.kinematics import flange_frames
     from gateway.report.page import Head
-    from gateway.report.plan import MOTIONS, curve_figures, scene_page
+    from gateway.report.scene import MOTIONS, curve_figures, scene_page
 
     figures = []
     paths: list[tuple[str, list[list[float]]]] = []
@@ -110,7 +109,7 @@ def view_of_moving_plan(plan: MovingPlan, workspace: Workspace) -> str:
 def view_of_cell(config: ArmConfig, workspace: Workspace, loads: Sequence[Sequence[str]] = ()) -> str:
     """Return an HTML page: the arm at the named postures of the cell and at zero, and its loads (`LOAD_COLUMNS`)."""
     from gateway.report.page import Head
-    from gateway.report.plan import ARM, scene_page
+    from gateway.report.scene import ARM, scene_page
 
     named = {"all joints at 0": (0.0,) * workspace.robot.axes, "home": config.home_rad, "loading": config.loading_rad}
     known = {name: q_rad for name, q_rad in named.items() if q_rad is not None}

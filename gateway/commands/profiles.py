@@ -26,8 +26,6 @@ from gateway.errors import ConfigError
 if TYPE_CHECKING:
     from drives.draft.answers import ProfileAnswers
     from drives.draft.device import Device
-    from drives.draft.questions import Question
-    from drives.profile import DriveProfile
 
 #: Number of hints printed with an open question.
 HINTS_SHOWN = 1
@@ -127,10 +125,33 @@ def profiles_new(
     text = draft(device, answers, name or profile_name(output.stem))
     profile = parse_profile(text, str(output), output.parent)
     replace_file(output, text)
-    _report(output, profile, open_questions(device, answers))
+    left = open_questions(device, answers)
+    session = session_of()
+    session.show(f"draft: {output}")
+    for question in left:
+        session.show(f"open: {question.key}: {question.asks}")
+        for hint in question.ways[:HINTS_SHOWN]:
+            session.show(f"      {hint}")
+    for obstacle in profile.obstacles:
+        session.show(f"refuses motion: {obstacle}")
+    if not profile.obstacles:
+        session.show(f'next: name it in the cell file, profile = "{output.stem}", then servo-gateway check CELL')
     if json_out:
         remarks = {"left_out": [str(remark) for remark in device.sheet.remarks]}
-        write_json(json_out, _as_json(output, profile, open_questions(device, answers)) | remarks)
+        write_json(
+            json_out,
+            {
+                "schema": 1,
+                "profile": str(output),
+                "name": profile.name,
+                "open": [
+                    {"key": question.key, "asks": question.asks, "ways": list(question.ways)}
+                    for question in open_questions(device, answers)
+                ],
+                "obstacles": list(profile.obstacles),
+            }
+            | remarks,
+        )
 
 
 def _at_terminal() -> bool:
@@ -167,26 +188,3 @@ def _ask(device: Device, answers: ProfileAnswers) -> ProfileAnswers:
             continue
         asked.add(question.key)
     return answers
-
-
-def _report(output: Path, profile: DriveProfile, left: tuple[Question, ...]) -> None:
-    session = session_of()
-    session.show(f"draft: {output}")
-    for question in left:
-        session.show(f"open: {question.key}: {question.asks}")
-        for hint in question.ways[:HINTS_SHOWN]:
-            session.show(f"      {hint}")
-    for obstacle in profile.obstacles:
-        session.show(f"refuses motion: {obstacle}")
-    if not profile.obstacles:
-        session.show(f'next: name it in the cell file, profile = "{output.stem}", then servo-gateway check CELL')
-
-
-def _as_json(output: Path, profile: DriveProfile, left: tuple[Question, ...]) -> dict[str, object]:
-    return {
-        "schema": 1,
-        "profile": str(output),
-        "name": profile.name,
-        "open": [{"key": question.key, "asks": question.asks, "ways": list(question.ways)} for question in left],
-        "obstacles": list(profile.obstacles),
-    }

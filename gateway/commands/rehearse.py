@@ -67,8 +67,7 @@ def rehearse(
     from gateway.jobs.rehearse import rehearse as rehearsed
     from gateway.report import rehearsal_page
     from gateway.result.numerals import significant
-    from gateway.result.origin import Origin, in_words, software
-    from gateway.result.seal import refuse_edited, sealed
+    from gateway.result.origin import Origin, in_words, refuse_edited, sealed, software
     from gateway.result.values import check_kind, json_object, text_of
 
     session, earlier = session_of(), None

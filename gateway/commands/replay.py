@@ -26,7 +26,6 @@ from gateway.errors import FindingFailed, GatewayError, InputError
 if TYPE_CHECKING:
     from gateway.cell.config import LoadedCell
     from gateway.data.archive import Archive
-    from gateway.result.differences import Difference
     from gateway.result.result import Result
 
 #: Where the files of a measurement are in the archive, and what was computed from them.
@@ -153,7 +152,7 @@ def replay(file: Path, json_out: str | None) -> None:
     `estimate` and `diagnose` write such a file with --archive. A file of it that is missing or was edited is named.
     """
     from gateway.data.archive import read_archive
-    from gateway.result.differences import TOLERANCE, differences
+    from gateway.result.compare import TOLERANCE, differences
     from gateway.result.values import json_object
 
     archive = read_archive(file)
@@ -171,16 +170,12 @@ def replay(file: Path, json_out: str | None) -> None:
         listed = [{"where": each.where, "stored": each.stored, "again": each.again} for each in found]
         write_json(json_out, {"schema": 1, "file": str(file), "tolerance": TOLERANCE, "differences": listed})
     if found:
-        _show(found, session)
+        rows = [[each.where, _short(each.stored), _short(each.again)] for each in found[:_SHOWN]]
+        session.show(grid("what differs", ["value", "stored", "computed again"], rows, left=1))
+        if len(found) > _SHOWN:
+            session.show(f"and {len(found) - _SHOWN} more; --json OUT lists all of them")
         raise FindingFailed(f"{file}: {len(found)} values differ by more than {TOLERANCE:g} when computed again")
     session.show(f"{file}: every value is the same within {TOLERANCE:g} when computed again")
-
-
-def _show(found: tuple[Difference, ...], session: Session) -> None:
-    rows = [[each.where, _short(each.stored), _short(each.again)] for each in found[:_SHOWN]]
-    session.show(grid("what differs", ["value", "stored", "computed again"], rows, left=1))
-    if len(found) > _SHOWN:
-        session.show(f"and {len(found) - _SHOWN} more; --json OUT lists all of them")
 
 
 def _short(value: Any) -> str:

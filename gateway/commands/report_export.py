@@ -35,38 +35,33 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
     For a stopped recording, or its black box: the page shows the last seconds before the stop.
     """
     from gateway.commands.pages import write_page
-    from gateway.data.reading import is_recording
+    from gateway.data.table import is_recording
     from gateway.report.render import render
 
     if is_recording(result):
-        _stop_page(result, output, json_out)
+        from gateway.commands.pages import write_page
+        from gateway.data.blackbox.box import read_box
+        from gateway.data.blackbox.ring_buffer import recover_box
+        from gateway.errors import InputError
+        from gateway.report.stop import render_stop
+
+        path = recover_box(result)
+        if path != result and not path.exists():
+            raise InputError(
+                f"{result}: no black box ({path.name}) beside it, because the run was not stopped; for a report of the "
+                "measurement give the OUT.json of estimate or diagnose"
+            )
+        box = read_box(path)
+        write_page(output, render_stop(box))
+        if json_out:
+            summary = {"schema": 1, "report": str(output), "recording": box.recording, "reason": box.reason}
+            write_json(json_out, summary)
+        session_of().show(f"report: {output}")
         return
     held = _read_result(result)
     write_page(output, render(held))
     if json_out:
         write_json(json_out, {"schema": 1, "report": str(output), "robot": held.robot, "verdict": held.verdict})
-    session_of().show(f"report: {output}")
-
-
-def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
-    """Write the page of the black box beside a recording."""
-    from gateway.commands.pages import write_page
-    from gateway.data.blackbox.box import read_box
-    from gateway.data.blackbox.ring_buffer import recover_box
-    from gateway.errors import InputError
-    from gateway.report.stop import render_stop
-
-    path = recover_box(recording)
-    if path != recording and not path.exists():
-        raise InputError(
-            f"{recording}: no black box ({path.name}) beside it, because the run was not stopped; for a report of the "
-            "measurement give the OUT.json of estimate or diagnose"
-        )
-    box = read_box(path)
-    write_page(output, render_stop(box))
-    if json_out:
-        summary = {"schema": 1, "report": str(output), "recording": box.recording, "reason": box.reason}
-        write_json(json_out, summary)
     session_of().show(f"report: {output}")
 
 
@@ -93,7 +88,7 @@ def export(result: Path, fmt: str, label: str | None, every: bool, arm_name: str
     formats of a recording contain every sample, with units.
     """
     from drives.profile import is_assumed
-    from gateway.data.reading import is_recording
+    from gateway.data.table import is_recording
     from gateway.result.export import export as export_text
     from gateway.result.export import loads_of_library
 
@@ -104,13 +99,34 @@ def export(result: Path, fmt: str, label: str | None, every: bool, arm_name: str
         kinds = f"{fmt} is" if fmt in RECORDING_FORMATS else f"{', '.join(RECORDING_FORMATS)} are"
         raise click.UsageError(f"--format {kinds} for a recording (.h5); the other formats are for a result (.json)")
     if fmt in RECORDING_FORMATS and fmt != TABLE_FORMAT:
-        _every_sample(result, fmt, (arm_name, label), output)
+        from gateway.formats.registry import FRAMES, exported
+
+        if output is None:
+            raise click.UsageError(f"--format {fmt} is a binary format: give a file with -o")
+        content, count = exported(result, fmt, *(arm_name, label))
+        replace_file(output, content)
+        if not count:
+            session_of().note(f"{result}: contains no sample yet; {output} contains only the metadata of the run")
+        session_of().show(f"{fmt}: {output}, {count} {'frames' if fmt == FRAMES else 'samples'}")
         return
     if fmt == CERTIFICATE_FORMAT:
         _certificate(result, label, output)
         return
     if fmt == TABLE_FORMAT:
-        text = _table(result, arm_name, label)
+        from gateway.data.recording.reader import read
+        from gateway.data.table import csv_of
+        from gateway.errors import InputError
+
+        recording = read(result)
+        names = [arm.name for arm in recording.arms]
+        if arm_name not in (None, *names) or (arm_name is None and len(names) > 1):
+            raise InputError(f"{result}: contains the arms {', '.join(names) or 'none'}: choose one with --arm")
+        table = recording.table(arm_name)
+        if label is not None:
+            if label not in recording.loads:
+                raise InputError(f"{result}: load '{label}' not found; loads in the file: {', '.join(recording.loads)}")
+            table = table.take(table.load == label)
+        text = csv_of(table)
     else:
         held = loads_of_library(result) if every else _read_result(result)
         text = export_text(held, fmt, label)
@@ -147,19 +163,6 @@ def _certificate(path: Path, label: str | None, output: Path | None) -> None:
     if stated.refused:
         first = stated.refused[0]
         raise FindingFailed(f"{path}: load '{first.label}' is refused, the certificate says so: {first.refused}")
-
-
-def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], output: Path | None) -> None:
-    """Export a recording, or the part of one arm and load, in an open format."""
-    from gateway.formats.registry import FRAMES, exported
-
-    if output is None:
-        raise click.UsageError(f"--format {fmt} is a binary format: give a file with -o")
-    content, count = exported(path, fmt, *part)
-    replace_file(output, content)
-    if not count:
-        session_of().note(f"{path}: contains no sample yet; {output} contains only the metadata of the run")
-    session_of().show(f"{fmt}: {output}, {count} {'frames' if fmt == FRAMES else 'samples'}")
 
 
 @click.command("import")
@@ -220,24 +223,6 @@ def _preview(log: Path, log_map: LogMap) -> None:
     session.show(grid(f"{log}, in the units of the table", names, rows, left=3))
     for remark in remarks:
         session.show(remark)
-
-
-def _table(path: Path, arm_name: str | None, label: str | None) -> str:
-    """Return the measured table of one arm as text, for one load or all."""
-    from gateway.data.recording.reader import read
-    from gateway.data.table import csv_of
-    from gateway.errors import InputError
-
-    recording = read(path)
-    names = [arm.name for arm in recording.arms]
-    if arm_name not in (None, *names) or (arm_name is None and len(names) > 1):
-        raise InputError(f"{path}: contains the arms {', '.join(names) or 'none'}: choose one with --arm")
-    table = recording.table(arm_name)
-    if label is not None:
-        if label not in recording.loads:
-            raise InputError(f"{path}: load '{label}' not found; loads in the file: {', '.join(recording.loads)}")
-        table = table.take(table.load == label)
-    return csv_of(table)
 
 
 def _read_result(path: Path) -> Result:

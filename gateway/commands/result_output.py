@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from drives.files import replace_file
 from gateway.commands.console import Session, axis_names, axis_table, findings_table, grid, load_table, number
 from gateway.errors import FindingFailed
-from gateway.result.interval import SAID
 from gateway.result.names import INERTIA_WHOLE
+from gateway.result.numerals import SAID
 
 if TYPE_CHECKING:
-    from gateway.result.result import Finding, LoadResult, NextMeasurement, Result
+    from gateway.result.result import Finding, LoadResult, Result
 
 # Up to this many poses are listed; more are counted.
 LISTED_POSES = 6
@@ -24,14 +24,22 @@ ACCEPTANCE_COLUMNS = ("load", "measured", "allowed", "outcome")
 
 def show_result(result: Result, session: Session) -> None:
     """Show loads, residuals, verdict, poses to measure next, and findings."""
-    from gateway.report.summary_text import VERDICTS, formula_rows, formula_text, verdict_text
+    from gateway.report.view import VERDICTS, formula_rows, formula_text, verdict_text
+    from gateway.result.acceptance import IN_WORDS, asked_for, measured
 
     if result.loads:
         session.show(load_table(result))
     for load in result.loads:
         _show_load(load, session)
     _show_motion(result, session)
-    _show_residuals(result, session)
+    models = {"before": result.before, "after": result.after} if result.effects else {"residual": result.after}
+    lines = {}
+    for name, model in models.items():
+        lines |= {name: model.rms_nm, f"{name}, held out": model.holdout_rms_nm}
+    lines |= {"noise floor": result.noise_floor_nm, "friction band": result.friction_band_nm}
+    known = {name: values for name, values in lines.items() if any(map(math.isfinite, values))}
+    if known:
+        session.show(axis_table("RMS [Nm]", known))
     if result.verdict:
         session.show(f"verdict: {VERDICTS[result.verdict]} ({result.verdict}). {verdict_text(result)}")
     if result.formula is not None:
@@ -42,8 +50,24 @@ def show_result(result: Result, session: Session) -> None:
         ]
         session.show(grid("torque that the model lacks, sum of", ["product", "coefficient (95 %)", "unit"], rows))
     for item in result.next:
-        _show_next(item, session)
-    _show_acceptance(result, session)
+        separates = f", separates {', '.join(item.tells_apart)}" if item.tells_apart else ""
+        known_next = math.isfinite(item.reduction)
+        gain = f", reduces the interval to about {100 * item.reduction:.0f} %" if known_next else ""
+        session.show(f"next: {item.what}{separates}{gain}")
+        if item.poses_rad and len(item.poses_rad) <= LISTED_POSES:
+            next_rows = [
+                [str(count), *(f"{math.degrees(q):.1f}" for q in q_rad)]
+                for count, q_rad in enumerate(item.poses_rad, 1)
+            ]
+            session.show(grid("poses to measure [deg]", ["", *axis_names(len(item.poses_rad[0]))], next_rows))
+    if result.acceptance:
+        acceptance_rows = [
+            [row.load, f"{row.what} {measured(row)}", asked_for(row), IN_WORDS[row.outcome]]
+            for row in result.acceptance
+        ]
+        session.show(
+            grid(f"acceptance: value ± half of the {SAID} interval", ACCEPTANCE_COLUMNS, acceptance_rows, left=4)
+        )
     if result.findings:
         session.show(findings_table(result.findings))
 
@@ -79,40 +103,6 @@ def _show_motion(result: Result, session: Session) -> None:
         session.show(
             grid(f"identified from motion: value ± half of the {SAID} interval", ["", *axis_names(axes)], rows)
         )
-
-
-def _show_residuals(result: Result, session: Session) -> None:
-    models = {"before": result.before, "after": result.after} if result.effects else {"residual": result.after}
-    lines = {}
-    for name, model in models.items():
-        lines |= {name: model.rms_nm, f"{name}, held out": model.holdout_rms_nm}
-    lines |= {"noise floor": result.noise_floor_nm, "friction band": result.friction_band_nm}
-    known = {name: values for name, values in lines.items() if any(map(math.isfinite, values))}
-    if known:
-        session.show(axis_table("RMS [Nm]", known))
-
-
-def _show_next(item: NextMeasurement, session: Session) -> None:
-    separates = f", separates {', '.join(item.tells_apart)}" if item.tells_apart else ""
-    known = math.isfinite(item.reduction)
-    gain = f", reduces the interval to about {100 * item.reduction:.0f} %" if known else ""
-    session.show(f"next: {item.what}{separates}{gain}")
-    if item.poses_rad and len(item.poses_rad) <= LISTED_POSES:
-        rows = [
-            [str(count), *(f"{math.degrees(q):.1f}" for q in q_rad)] for count, q_rad in enumerate(item.poses_rad, 1)
-        ]
-        session.show(grid("poses to measure [deg]", ["", *axis_names(len(item.poses_rad[0]))], rows))
-
-
-def _show_acceptance(result: Result, session: Session) -> None:
-    from gateway.result.acceptance import IN_WORDS, asked_for, measured
-
-    if result.acceptance:
-        rows = [
-            [row.load, f"{row.what} {measured(row)}", asked_for(row), IN_WORDS[row.outcome]]
-            for row in result.acceptance
-        ]
-        session.show(grid(f"acceptance: value ± half of the {SAID} interval", ACCEPTANCE_COLUMNS, rows, left=4))
 
 
 def write_junit(path: Path, result: Result) -> None:

@@ -8,8 +8,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from gateway.data.sample import ArmSample
-from gateway.data.visit import NO_WORD, Visit
+from gateway.data.visit import NO_WORD, ArmSample, Visit
 from gateway.errors import InputError
 
 #: `series`: all joints at once; `sweep`: steady speeds of one joint.

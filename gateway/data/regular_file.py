@@ -12,20 +12,20 @@ from gateway.errors import InputError
 MOST_BYTES = 2_000_000_000
 
 
-def regular_size(path: Path, most_bytes: int = MOST_BYTES) -> int:
+def regular_size(path: Path) -> int:
     """Return the size of a regular file [bytes].
 
     Raises
     ------
     InputError
-        The file does not exist, is not a regular file, or is larger than `most_bytes`.
+        The file does not exist, is not a regular file, or is larger than `MOST_BYTES`.
     """
     try:
-        return _checked_size(path.stat(), most_bytes)
+        return _checked_size(path.stat(), MOST_BYTES)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:
-        raise InputError(f"{path}: {error}; name a regular file of at most {most_bytes / 1e9:g} GB") from error
+        raise InputError(f"{path}: {error}; name a regular file of at most {MOST_BYTES / 1e9:g} GB") from error
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:

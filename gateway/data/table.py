@@ -1,9 +1,10 @@
-"""Import and export of the measured table (CSV)."""
+"""Import and export of the measured table (CSV), and data of recordings and tables as one table."""
 
 from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,14 @@ from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.conversion import AxisConversion
 from gateway.data.csv_text import CsvColumns, empty_cell, read_columns, text_cells
 from gateway.data.labels import LONGEST, label_refused
+from gateway.data.recording.recorded import Recording
 from gateway.data.rows import MOVING, Table, concatenate, without_duplicates
 from gateway.errors import InputError
 
 __all__ = ["MOVING", "Table", "concatenate", "read_csv", "without_duplicates", "write_csv"]
 
 LARGEST_INTEGER = 2**31 - 1
+RECORDING_SUFFIXES = (".h5", ".hdf5")
 
 
 def read_csv(path: Path, axes: AxisConversion | None) -> Table:
@@ -265,3 +268,37 @@ def _columns_to_write(table: Table) -> dict[str, list[object]]:
 def _cells(values: np.ndarray) -> list[object]:
     """Return the shortest decimals that read back to the same number; empty for NaN."""
     return ["" if value != value else value for value in values.tolist()]
+
+
+def read_data(paths: Sequence[Path | str], recordings: Sequence[Recording], axes: AxisConversion | None) -> Table:
+    """Return the samples of all files as one table; a sample that is in two files counts once.
+
+    Parameters
+    ----------
+    paths : sequence of Path or str
+        `.h5` recordings and `.csv` tables.
+    recordings : sequence of Recording
+        Recordings among the paths that are already read and bound to their arm.
+    axes : AxisConversion or None
+        Converts motor torques and currents of tables.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be used, an unknown kind of file, or contradictory samples.
+    """
+    by_path = {recording.path: recording for recording in recordings}
+    return without_duplicates(concatenate([_rows(Path(path), by_path, axes) for path in paths]))
+
+
+def is_recording(path: Path) -> bool:
+    """Return whether a path has the suffix of a recording."""
+    return path.suffix.lower() in RECORDING_SUFFIXES
+
+
+def _rows(path: Path, recordings: dict[Path, Recording], axes: AxisConversion | None) -> Table:
+    if path.suffix.lower() == ".csv":
+        return read_csv(path, axes)
+    if is_recording(path):
+        return recordings[path].table()
+    raise InputError(f"{path}: neither a recording (.h5) nor a measured table (.csv)")

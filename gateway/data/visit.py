@@ -1,18 +1,70 @@
-"""Visit of a rest pose from one approach direction, as sampled: raw drive words and SI values."""
+"""Sample of an arm at one SYNC, rest pose, and its visit from one approach direction: raw drive words and SI values."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from gateway.data.sample import ArmSample
+from drives.drive import DriveReading
+from drives.values import InstrumentReading
 from gateway.errors import InputError
 
+Purpose = Literal["fit", "validation"]
 #: Stands for a word that the drive does not send.
 NO_WORD = -(2**31)
+
+
+def following_error_rad(target_rad: np.ndarray, position_rad: np.ndarray) -> np.ndarray:
+    """Return the following error [rad], target minus actual position (ISO 9283; CiA 402 object 0x60F4)."""
+    return target_rad - position_rad
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmSample:
+    """Sample of an arm of N axes at one SYNC, joint side, as reported by its drives.
+
+    Attributes
+    ----------
+    sync_index : int
+    time_s : float
+    q_rad : array of shape (N,)
+        NaN where a drive did not answer.
+    joint_torque_nm : array of shape (N,)
+        Ratio, sign and coupling applied, efficiency not; NaN where a drive did not answer.
+    readings : tuple of DriveReading or None
+        Motor side, raw and SI.
+    instruments : tuple of InstrumentReading or None
+        Measuring devices on the same bus, at the same SYNC; None where one did not answer.
+    """
+
+    sync_index: int
+    time_s: float
+    q_rad: np.ndarray
+    joint_torque_nm: np.ndarray
+    readings: tuple[DriveReading | None, ...]
+    instruments: tuple[InstrumentReading | None, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Return whether every drive answered this SYNC."""
+        return None not in self.readings
+
+    @property
+    def silent(self) -> tuple[int, ...]:
+        """Axes, from 1, whose drive did not answer."""
+        return tuple(axis for axis, reading in enumerate(self.readings, start=1) if reading is None)
+
+
+@dataclass(frozen=True, slots=True)
+class RestPose:
+    """Static posture to measure; `number` identifies it in every file."""
+
+    number: int
+    q_rad: tuple[float, ...]
+    purpose: Purpose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

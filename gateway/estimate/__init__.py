@@ -16,23 +16,24 @@ from numpy.typing import NDArray
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.coefficient import Coefficient, estimate_coefficient
-from gateway.estimate.describe import axis_sigma
 from gateway.estimate.difference import estimate_difference
-from gateway.estimate.estimate import Estimate
+from gateway.estimate.estimate import Estimate, axis_sigma
 from gateway.estimate.handover import to_result
 from gateway.estimate.joint import estimate_joint, refused_loads
 from gateway.estimate.moving_estimate import estimate_moving
 from gateway.estimate.posture import estimate_posture
 from gateway.estimate.recommendation import next_pose, shrinks_most
 from gateway.identify.knowledge import Knowledge
+from gateway.identify.outliers import without_outliers
 from gateway.identify.prior_loads import BARE_LABEL, refuse_absent, refuse_parts
-from gateway.identify.rejected import without_outliers
 from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit
 from gateway.identify.rest.problem import build_problem
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits
 from gateway.result.result import Finding, Result
+
+Floats = NDArray[np.float64]
 
 __all__ = [
     "ESTIMATORS",
@@ -44,7 +45,6 @@ __all__ = [
     "to_result",
 ]
 
-Floats = NDArray[np.float64]
 Estimator = Callable[[Table, Robot, Knowledge], Estimate]
 
 

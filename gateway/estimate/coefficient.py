@@ -18,11 +18,19 @@ from scipy.special import stdtrit
 
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable, InputError
-from gateway.estimate.consistency import describe_masses, disagree
-from gateway.estimate.estimate import Estimate
-from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS, NOISE
+from gateway.estimate.estimate import Estimate, describe_masses, disagree
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.load_estimate import LOAD_PARTS, LoadEstimate, refused_load, unknown_load
+from gateway.identify.load_estimate import (
+    CONSTANTS,
+    DRIFT,
+    FRICTION,
+    LINKS,
+    LOAD_PARTS,
+    NOISE,
+    LoadEstimate,
+    refused_load,
+    unknown_load,
+)
 from gateway.identify.nuisance import change_covariance, gain_stds
 from gateway.identify.prior_loads import BARE_LABEL, refuse_absent
 from gateway.identify.rest.problem import BAND_UNSEEN

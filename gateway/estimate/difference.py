@@ -19,21 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
-from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
-from gateway.estimate.describe import describe
-from gateway.estimate.estimate import Estimate, FittedRows
+from gateway.estimate.estimate import CONTRADICTS, Estimate, FittedRows, describe, describe_masses, disagree
 from gateway.estimate.recommendation import wrist_in_words
-from gateway.identify.budget import DRIFT
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.load_estimate import refused_load
+from gateway.identify.load_estimate import DRIFT, refused_load
 from gateway.identify.nuisance import change_covariance, gain_stds, losses
 from gateway.identify.prior_loads import BARE_LABEL, load_vector, unknown_labels
-from gateway.identify.repeats import half_difference_scatter
-from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
 from gateway.identify.rest.problem import build_problem, nuisance_of
-from gateway.identify.rest.start_noise import first_noise
+from gateway.identify.rest.rest_nuisance import GainChanges
+from gateway.identify.rest.start_noise import first_noise, half_difference_scatter
 from gateway.model.kinematics import gravity_in_last_link, largest_angle_rad
 from gateway.model.robot import Robot
 from gateway.model.visits import SAME_POSE_RAD, Visits, joined

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.describe import axis_sigma
+from gateway.estimate.estimate import axis_sigma
 from gateway.estimate.joint import refused_loads
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_AT_REST

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from gateway.estimate.consistency import hull_radius_m, physical_findings
-from gateway.estimate.estimate import Estimate, FittedRows
+from gateway.estimate.estimate import Estimate, FittedRows, hull_radius_m, physical_findings
 from gateway.estimate.recommendation import cost_of_missing_axes, wrist_in_words
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate, load_result, refused_findings
 from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, NUISANCE_STD, efficiency_of
-from gateway.identify.repeats import half_difference_scatter, negative_bands, repeated_std
+from gateway.identify.rest.start_noise import half_difference_scatter, negative_bands, repeated_std
 from gateway.model.robot import Robot
 from gateway.model.visits import places_of
 from gateway.result.acceptance import no_body

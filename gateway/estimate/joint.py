@@ -8,15 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
-from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
-from gateway.estimate.describe import axis_sigma, describe
-from gateway.estimate.estimate import Estimate
+from gateway.estimate.estimate import CONTRADICTS, Estimate, axis_sigma, describe, describe_masses, disagree
 from gateway.identify.alternatives import spread_of_loads
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies
-from gateway.identify.gravity_sign import reversed_gravity
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate, refused_load
-from gateway.identify.mass_change import mass_changes
+from gateway.identify.mass_change import mass_changes, reversed_gravity
 from gateway.identify.prior_loads import require_postures, unknown_labels
 from gateway.identify.rest.hypothesis_fit import fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit, RestProblem

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table
-from gateway.estimate.describe import fitted_rows as rest_rows
 from gateway.estimate.estimate import Estimate, FittedRows
+from gateway.estimate.estimate import fitted_rows as rest_rows
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.motion.columns import MovingSetup
 from gateway.identify.motion.moving_fit import MotionFit, fit_motion

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from gateway.errors import DataUnusable, InputError
-from gateway.estimate.describe import LOAD_NAMES, describe
-from gateway.estimate.estimate import Estimate
+from gateway.estimate.estimate import LOAD_NAMES, Estimate, describe
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.prior_loads import BARE_LABEL, require_postures, unknown_labels

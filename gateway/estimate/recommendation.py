@@ -1,14 +1,14 @@
-"""Recommendations after an estimate: the pose to measure next, and the accuracy gained by measuring further axes."""
+"""Recommendations after an estimate: the pose to measure next, by its Fisher information, and further axes."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from gateway.identify.budget import CABLE, CONSTANTS, DRIFT, FRICTION, LINKS, NOISE, ZEROS
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.load_estimate import LoadEstimate
-from gateway.model.information import payload_information
+from gateway.identify.load_estimate import CABLE, CONSTANTS, DRIFT, FRICTION, LINKS, NOISE, ZEROS, LoadEstimate
+from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
+from gateway.model.regressor import load_regressor
 from gateway.model.robot import Robot
 from gateway.result.result import NextMeasurement
 
@@ -17,6 +17,52 @@ Floats = NDArray[np.float64]
 _CANDIDATES = 400
 _SEED = 7
 _UNKNOWN_KG = 1e3
+#: Share of the mass's variance from which on a source is worth a line of its own.
+_DOMINANT_SHARE = 0.3
+#: Source -> what to do against it, what it is, and the share of its variance that is assumed to remain.
+_ACTIONS = {
+    CONSTANTS: ("mount a load of known mass and give it as --known", "errors of the torque constants", 0.0),
+    LINKS: ("mount a load of known mass, or weigh the links", "the uncertainty of the link parameters", 0.0),
+    DRIFT: ("warm the arm up, then measure {load}, bare, bare, {load}", "the drift of the torque readings", 0.0),
+    ZEROS: (
+        "calibrate the joint zeros, or choose poses that turn the wrist",
+        "the zero errors of the joints",
+        0.0,
+    ),
+    CABLE: (
+        "take hoses and cables off, or measure bare with them",
+        "forces of hoses and cables that come with the load",
+        0.0,
+    ),
+    FRICTION: ("approach every pose from both sides, bare, {load}, {load}, bare", "friction", 0.5),
+    NOISE: ("another block bare, {load}, {load}, bare", "noise", 0.5),
+}
+
+
+def payload_information(
+    robot: Robot, q_rad: ArrayLike, sigma_nm: ArrayLike, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2
+) -> Floats:
+    """Return the information of each pose on [m, hx, hy, hz] of the load, if the unloaded arm is measured there too.
+
+    The difference of loaded and unloaded torque has twice the variance of one: `L' W L / 2`. One pose has rank 3.
+
+    Parameters
+    ----------
+    robot : Robot
+    q_rad : array of shape (n, N)
+    sigma_nm : array of shape (N,)
+        Standard deviation of a half-sum; NaN or infinite = the axis is not measured.
+    gravity_m_s2 : array of shape (3,)
+
+    Returns
+    -------
+    array of shape (n, 4, 4)
+        1/kg^2, 1/(kg kg m), 1/(kg m)^2.
+    """
+    sigma = np.asarray(sigma_nm, dtype=float)
+    inverse = np.where(np.isfinite(sigma), 1.0 / np.where(np.isfinite(sigma), sigma, 1.0), 0.0)
+    rows = load_regressor(robot, q_rad, gravity_m_s2) * inverse[:, None]
+    return np.matmul(rows.transpose(0, 2, 1), rows) / 2.0
 
 
 def next_pose(
@@ -59,28 +105,6 @@ def next_pose(
         poses_rad=(tuple(round(float(angle), 6) for angle in q[best]),),
         reduction=float(np.sqrt(stays + (1.0 - stays) * np.exp(-value[best] / 4.0))),
     )
-
-
-#: Share of the mass's variance from which on a source is worth a line of its own.
-_DOMINANT_SHARE = 0.3
-#: Source -> what to do against it, what it is, and the share of its variance that is assumed to remain.
-_ACTIONS = {
-    CONSTANTS: ("mount a load of known mass and give it as --known", "errors of the torque constants", 0.0),
-    LINKS: ("mount a load of known mass, or weigh the links", "the uncertainty of the link parameters", 0.0),
-    DRIFT: ("warm the arm up, then measure {load}, bare, bare, {load}", "the drift of the torque readings", 0.0),
-    ZEROS: (
-        "calibrate the joint zeros, or choose poses that turn the wrist",
-        "the zero errors of the joints",
-        0.0,
-    ),
-    CABLE: (
-        "take hoses and cables off, or measure bare with them",
-        "forces of hoses and cables that come with the load",
-        0.0,
-    ),
-    FRICTION: ("approach every pose from both sides, bare, {load}, {load}, bare", "friction", 0.5),
-    NOISE: ("another block bare, {load}, {load}, bare", "noise", 0.5),
-}
 
 
 def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:

@@ -19,8 +19,7 @@ from gateway.feedforward.load import FeedLoad
 from gateway.identify.inertia import central_directions
 from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.load_estimate import load_directions
-from gateway.identify.motion.friction import FRICTION, friction_columns
-from gateway.identify.motion.prior import moving_prior
+from gateway.identify.motion.prior import FRICTION, friction_columns, moving_prior
 from gateway.identify.solve import ByGroup, Prior, identifiable_stds, solve
 from gateway.model.base import moving_base
 from gateway.model.motion import SMOOTH_RAD_S
@@ -28,6 +27,7 @@ from gateway.model.regressor import regressor
 from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
+
 Purpose = Literal["load", "friction", "rotor"]
 
 #: One-sided correlation time of the torque error [s]: longer than the filter of any drive.

@@ -11,8 +11,8 @@ import numpy as np
 
 from gateway.errors import InputError
 from gateway.excite.excitation import Excitation, MovingPlan, Series
-from gateway.excite.sweep import Sweep
-from gateway.result.seal import KEY, refuse_edited, sealed
+from gateway.excite.sweep_choice import Sweep
+from gateway.result.origin import KEY, refuse_edited, sealed
 from gateway.result.values import Matrix, Numbers, check_kind, decoded, json_object, plain_values, text_of
 
 SCHEMA: Final = 1

@@ -14,9 +14,8 @@ from scipy.optimize import minimize
 
 from gateway.errors import PlanRefused
 from gateway.excite.expected import AskedNumbers, mean_log_std
-from gateway.excite.fourier_family import Family
 from gateway.excite.limits import MovingLimits
-from gateway.excite.random_series import Members, fitted, random_members, rows_of
+from gateway.excite.random_series import Family, Members, fitted, random_members, rows_of
 from gateway.motion.clearance import CLOSE_M, PLANNING_CLEARANCE_M
 from gateway.motion.workspace import Workspace
 

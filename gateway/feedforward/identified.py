@@ -1,8 +1,10 @@
-"""Friction and rotor inertia of every axis: identified in motion, else stated in the cell file.
+"""Constants of the feedforward: friction and rotor inertia of every axis, and inertial parameters of the links.
 
 The cell file names a sealed result of this cell and arm (`identified` of `[[arm]]`). Its friction and rotor inertia
 replace the stated values, each with file and date as source. A value that is missing or too uncertain falls back to the
 stated one, with a note. A contradiction beyond a factor of `REFUSED_FACTOR` is refused.
+
+The links have their CAD values, corrected by an identification at rest.
 """
 
 from __future__ import annotations
@@ -12,15 +14,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gateway.cell.config import ArmConfig, AxisConfig, LoadedCell
-from gateway.errors import InputError
+from gateway.errors import ConfigError, InputError
 from gateway.feedforward.load import other_origin, sourced
+from gateway.identify.links import PER_LINK_AT_REST, body_parameters, link_prior, link_values
 from gateway.model.robot import Robot
 from gateway.result.drawn import Drawn
-from gateway.result.interval import half_width
-from gateway.result.numerals import with_interval
-from gateway.result.result import AxisMotion, Result, read_result
+from gateway.result.numerals import half_width, with_interval
+from gateway.result.result import AxisMotion, Bare, Result, read_result
 from gateway.result.values import NAN
+
+Floats = NDArray[np.float64]
 
 #: An identified constant that differs from the stated one by this factor is reported; by `REFUSED_FACTOR`, with its
 #: whole
@@ -28,6 +35,8 @@ from gateway.result.values import NAN
 SAID_FACTOR, REFUSED_FACTOR = 2.0, 5.0
 #: Largest ratio of the half width of the 95 % interval to the value at which a constant is used.
 LARGEST_HALF = 1.0
+#: Smallest corrected link mass, as a share of the CAD mass: below it the identification contradicts the robot model.
+LEAST_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,3 +233,65 @@ def notes_of(notes: Sequence[Sequence[str]]) -> Iterator[tuple[str, str]]:
         for note in axis:
             said.setdefault(note, []).append(f"J{joint}")
     return ((", ".join(joints), note) for note, joints in said.items())
+
+
+def drawn_parameters(robot: Robot, arm: ArmConfig) -> Floats:
+    """Return the parameters (10 N,) of the links from the robot model.
+
+    Raises
+    ------
+    ConfigError
+        Mass, centre of mass or inertia of a link is missing, or inertials = "ignore". No value is assumed to be zero.
+    """
+    if np.isinf(arm.link_std):
+        raise ConfigError(
+            f"arm '{arm.name}': inertials = \"ignore\" makes the links unknown, but feedforward needs them; give "
+            'inertials = "prior:0.05" if the robot model holds plausible ones'
+        )
+    values = link_values(robot)
+    missing = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(missing):
+        raise ConfigError(
+            f"robot '{robot.name}', link {missing[0] + 1}: mass, centre of mass or inertia is not given; feedforward "
+            "needs every link's inertials in the robot model"
+        )
+    return values.ravel()
+
+
+def corrected_parameters(robot: Robot, bare: Bare, gravity_m_s2: Floats) -> Floats | None:
+    """Return the CAD parameters (10 N,) with the smallest change that reproduces the identified torque without a load.
+
+    The sum of squares of the changes over mass (and over mass times link length, for first moments) is minimal. The
+    inertia of each link about its own centre of mass is kept.
+
+    Parameters
+    ----------
+    robot : Robot
+    bare : Bare
+        Base gravity parameters of a result.
+    gravity_m_s2 : array of shape (3,)
+        Gravity in the base frame of this arm.
+
+    Returns
+    -------
+    array of shape (10 N,) or None
+        None where the identification does not apply.
+        That is another gravity or robot, missing values, or a link mass below `LEAST_SHARE` of the CAD mass.
+    """
+    if bare.robot != robot.name or not np.allclose(bare.gravity_m_s2, gravity_m_s2, atol=1e-6):
+        return None
+    combination, value = np.array(bare.combination, dtype=float), np.array(bare.value, dtype=float)
+    if combination.ndim != 2 or not (np.isfinite(combination).all() and np.isfinite(value).all()):
+        return None
+    mean, std = link_prior(robot, 1.0, PER_LINK_AT_REST)
+    # exact constraints: `identify.solve` weighs rows by their noise, and this arm has to hold its own torque exactly
+    change = std * np.linalg.lstsq(combination * std, value - combination @ mean, rcond=1e-9)[0]
+    moments = (mean + change).reshape(robot.axes, PER_LINK_AT_REST)
+    if (moments[:, 0] < LEAST_SHARE * robot.mass_kg).any():
+        return None
+    return np.concatenate(
+        [
+            body_parameters(mass, moment / mass, robot.inertia_kg_m2[number])
+            for number, (mass, moment) in enumerate(zip(moments[:, 0], moments[:, 1:], strict=True))
+        ]
+    )

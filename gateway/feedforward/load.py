@@ -66,9 +66,9 @@ class FeedLoad:
         return replace(self, mass_kg=factor * self.mass_kg, inertia_kg_m2=inertia, source=f"{factor:g} x {self.source}")
 
 
-def cube_inertia(mass_kg: float, density_kg_m3: float = CUBE_DENSITY_KG_M3) -> Floats:
-    """Return the inertia (3, 3) [kg m2] of a solid cube about its centre: m a^2 / 6 with a^3 = m / density."""
-    side_m = (mass_kg / density_kg_m3) ** (1.0 / 3.0)
+def cube_inertia(mass_kg: float) -> Floats:
+    """Return the inertia (3, 3) [kg m2] of a solid cube about its centre: m a^2 / 6 with m = density a^3."""
+    side_m = (mass_kg / CUBE_DENSITY_KG_M3) ** (1.0 / 3.0)
     return np.eye(3) * (mass_kg * side_m**2 / 6.0)
 
 

@@ -12,16 +12,14 @@ from typing import Any, Final
 from drives.files import replace_file
 from gateway.errors import GatewayError, InputError
 from gateway.fleet.checks import Row, estimated_rows
-from gateway.fleet.columns import ESTIMATE, columns
+from gateway.fleet.columns import ESTIMATE, columns, library
 from gateway.fleet.history import history
-from gateway.fleet.libraries import library
 from gateway.fleet.robot_state import SILENT_DAYS, judged, program_loads
 from gateway.fleet.store import Store
 from gateway.fleet.trends import NoiseShapes, noise_shapes_of, seen_likelihoods, trends_of
 from gateway.fleet.workers import Spreading
 from gateway.result.fleet import STATES, FleetHealth, RobotHealth, RobotLine
-from gateway.result.origin import in_words, software
-from gateway.result.seal import sealed
+from gateway.result.origin import in_words, sealed, software
 from gateway.result.values import json_text, plain_values
 
 #: Estimates that are held before they are written.
@@ -62,7 +60,8 @@ class _AssessRobots:
                 found = health_of(self.store, robot, self.noise_shapes, self.asked)
             except InputError as error:
                 failed.append(str(error))
-                lines.append(_unreadable(self.store, robot, str(error)))
+                (self.store.analysis / "robots" / f"{robot}.json").unlink(missing_ok=True)
+                lines.append(RobotLine(robot, "", "", "cannot tell", 10.0, (str(error),), 0, "", ""))
                 continue
             _write(self.store.analysis / "robots" / f"{robot}.json", found)
             lines.append(found.line)
@@ -110,7 +109,9 @@ def run_analysis(
     failed: list[str] = []
     estimated = _estimate(store, spread, failed, notify)
     robots = store.robots()
-    noise_shapes = _learn(store, robots, spread)
+    step = max(1, len(robots) // _LEARNT_FROM)
+    seen = [done for _, done in spread(_Learn(store), robots[::step][:_LEARNT_FROM])]
+    noise_shapes = noise_shapes_of([each for each in seen if not isinstance(each, GatewayError)])
     lines: list[RobotLine] = []
     for _, done in spread(_AssessRobots(store, noise_shapes, asked), _batches(robots)):
         if isinstance(done, GatewayError):
@@ -187,17 +188,15 @@ def _not_estimated(store: Store) -> Iterator[tuple[str, Path]]:
     for robot, path in store.recordings():
         if robot != known[0]:
             try:
-                known = (robot, _estimated(store, robot))
+                rows = store.read(robot)
+                reported = zip(
+                    rows["kind"].to_pylist(), rows["software"].to_pylist(), rows["sha256"].to_pylist(), strict=True
+                )
+                known = (robot, ({sha256 for kind, by, sha256 in reported if kind == ESTIMATE and by == software()}))
             except InputError:  # reported where the robot is assessed; nothing can be added to its files
                 known = (robot, None)
         if known[1] is not None and path.stem not in known[1]:
             yield robot, path
-
-
-def _estimated(store: Store, robot: str) -> set[str]:
-    rows = store.read(robot)
-    reported = zip(rows["kind"].to_pylist(), rows["software"].to_pylist(), rows["sha256"].to_pylist(), strict=True)
-    return {sha256 for kind, by, sha256 in reported if kind == ESTIMATE and by == software()}
 
 
 def _add(store: Store, rows: list[Row]) -> tuple[str, ...]:
@@ -208,22 +207,10 @@ def _add(store: Store, rows: list[Row]) -> tuple[str, ...]:
         return store.add(pa.Table.from_pylist(rows, schema=reported)).refused
 
 
-def _learn(store: Store, robots: Sequence[str], spread: Spreading) -> NoiseShapes:
-    """Estimate the correlated noise of the fleet from robots spread evenly over the list."""
-    step = max(1, len(robots) // _LEARNT_FROM)
-    seen = [done for _, done in spread(_Learn(store), robots[::step][:_LEARNT_FROM])]
-    return noise_shapes_of([each for each in seen if not isinstance(each, GatewayError)])
-
-
 def _batches(robots: Sequence[str]) -> Iterator[tuple[str, ...]]:
     left = iter(robots)
     while batch := tuple(islice(left, _TOGETHER)):
         yield batch
-
-
-def _unreadable(store: Store, robot: str, why: str) -> RobotLine:
-    (store.analysis / "robots" / f"{robot}.json").unlink(missing_ok=True)
-    return RobotLine(robot, "", "", "cannot tell", 10.0, (why,), 0, "", "")
 
 
 def _write(path: Path, health: FleetHealth | RobotHealth) -> None:

@@ -14,8 +14,7 @@ from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate import run
-from gateway.fleet.columns import ESTIMATE, RECORDING, RESULT, TEMPERATURE, axis_columns
-from gateway.fleet.identity import RobotName, moment, robot_name
+from gateway.fleet.columns import ESTIMATE, RECORDING, RESULT, TEMPERATURE, RobotName, axis_columns, moment, robot_name
 from gateway.pipeline.inputs import ModelRequest, inputs_from_recordings, read_rows
 from gateway.result.origin import drives_of, file_sha256, software
 from gateway.result.result import LoadResult, NuisanceResult, Outcome, Result, read_result

@@ -1,10 +1,19 @@
-"""Columns of the store: one row is one check of one robot at one time. Units are in the names; times are UTC."""
+"""Columns of the store, identity of a robot (cell, arm, serial numbers of the drives), and the optional libraries.
+
+One row is one check of one robot at one time. Units are in the names; times are UTC.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any, Final
 
-from gateway.fleet.libraries import library
+from gateway.data.extras import needed
 from gateway.result.fleet import QUANTITIES
 
 #: Version of the columns; in the metadata of every file.
@@ -55,3 +64,52 @@ def columns() -> Any:
         ("failing", pa.list_(pa.string())),
     ]
     return pa.schema(reported, metadata={SCHEMA_KEY: str(SCHEMA).encode()})
+
+
+def library(name: str) -> Any:
+    """Import a module of the extra `fleet`; raise `ConfigError` if it is not installed."""
+    return needed(name, "a fleet", "fleet")
+
+
+#: Letters of a name that stay in the name of a folder.
+_LONGEST = 40
+_CODE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class RobotName:
+    """Identity of a robot, including drive serial numbers: with another drive its constants may differ."""
+
+    cell: str
+    arm: str
+    serial_numbers: tuple[int | None, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Readable and unique name for folders and pages."""
+        reported = json.dumps([self.cell, self.arm, list(self.serial_numbers)])
+        code = hashlib.sha256(reported.encode()).hexdigest()[:_CODE]
+        return f"{_plain(self.cell)}-{_plain(self.arm)}-{code}"
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_]+", "_", text)[:_LONGEST] or "_"
+
+
+def robot_name(cell: str, arm: str, serial_numbers: Sequence[int | None]) -> RobotName:
+    """Return the identity of a robot; drives without serial number (0 counts as none) are not distinguished."""
+    reported = tuple(number or None for number in serial_numbers)
+    return RobotName(cell, arm, reported if any(reported) else ())
+
+
+def moment(text: str) -> datetime:
+    """Return a time of a file in UTC; a time without zone is UTC.
+
+    Raises
+    ------
+    ValueError
+        The text is not a time.
+    """
+    plain = text.strip().removesuffix(" UTC")
+    at = datetime.fromisoformat(plain)
+    return at.replace(tzinfo=UTC) if at.tzinfo is None else at.astimezone(UTC)

@@ -9,9 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fleet.columns import ESTIMATE, RECORDING, RESULT, TEMPERATURE
-from gateway.fleet.libraries import library
-from gateway.fleet.months import by_axis
+from gateway.fleet.columns import ESTIMATE, RECORDING, RESULT, TEMPERATURE, library
+from gateway.fleet.store import by_axis
 from gateway.result.fleet import MASS, QUANTITIES, Tracked
 
 Floats = NDArray[np.float64]
@@ -77,13 +76,12 @@ def history(rows: Any) -> History:
     remarks += odd
     good = [use and said is None for use, said in zip(keep, rows["clock"].to_pylist(), strict=True)]
     used = rows.filter(pa.array(good, pa.bool_()))
-    per_axis = {name: by_axis(used[name]) for name in _names()}
+    per_axis = {
+        name: by_axis(used[name])
+        for name in [*(name for each in QUANTITIES for name in (each.key, each.std_key)), TEMPERATURE]
+    }
     axes = max((table.shape[1] for table in per_axis.values()), default=0)
     return History(used, _series(used, per_axis, axes), axes, tuple(remarks))
-
-
-def _names() -> list[str]:
-    return [*(name for each in QUANTITIES for name in (each.key, each.std_key)), TEMPERATURE]
 
 
 def _kept(rows: Any) -> tuple[list[bool], list[str]]:
@@ -116,7 +114,11 @@ def _series(rows: Any, per_axis: dict[str, Floats], axes: int) -> CheckSeries:
     count = rows.num_rows
     at = rows["time_utc"].to_numpy().astype("datetime64[us]").astype(np.int64) / 1e6
     temperature = _as_wide(per_axis[TEMPERATURE], axes)
-    load = _load_kg(rows)
+    out = np.zeros(rows.num_rows)
+    for row, loads in enumerate(rows["loads"].to_pylist()):
+        masses = [np.nan if each["mass_kg"] is None else each["mass_kg"] for each in loads or ()]
+        out[row] = float(np.mean(masses)) if masses else 0.0
+    load = out
     parts: list[tuple[Tracked, int, str, Floats, Floats, Floats, Floats]] = []
     for each in QUANTITIES:
         value, std = _as_wide(per_axis[each.key], axes), _as_wide(per_axis[each.std_key], axes)
@@ -160,15 +162,6 @@ def _centred(values: Floats, of: Floats) -> Floats:
     if both.sum() < _LEAST_SHARE * max(there.sum(), 1) or not both.any():
         return np.zeros(len(values))
     return values - values[both].mean()
-
-
-def _load_kg(rows: Any) -> Floats:
-    """Return the mean load mass (n,) of every check; no load = 0, unknown = NaN."""
-    out = np.zeros(rows.num_rows)
-    for row, loads in enumerate(rows["loads"].to_pylist()):
-        masses = [np.nan if each["mass_kg"] is None else each["mass_kg"] for each in loads or ()]
-        out[row] = float(np.mean(masses)) if masses else 0.0
-    return out
 
 
 def program_masses(rows: Any) -> dict[str, tuple[Floats, Floats]]:

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from drives.files import replace_file
-from gateway.data.reading import is_recording
+from gateway.data.table import is_recording
 from gateway.errors import GatewayError, InputError
 from gateway.fleet.checks import Row, rows_of_recording, rows_of_result
-from gateway.fleet.columns import columns
-from gateway.fleet.libraries import library
+from gateway.fleet.columns import columns, library
 from gateway.fleet.store import Store
 from gateway.fleet.summaries import SUFFIXES, summary_blocks
 
@@ -77,7 +76,11 @@ def ingest(
             try:
                 for block in _blocks(store, path, now):
                     held.append(block)
-                    _note_clock(faults, path, block)
+                    bad = block.num_rows - block["clock"].null_count
+                    if bad:
+                        before = faults.get(str(path), (0, ""))
+                        first = next(said for said in block["clock"].to_pylist() if said)
+                        faults[str(path)] = (before[0] + bad, before[1] or first)
             except GatewayError as error:
                 refused.append(str(error))
             if len(held) >= _HELD or sum(block.num_rows for block in held) >= _HELD_OF_TABLES:
@@ -133,11 +136,3 @@ def _keep(store: Store, path: Path, row: Row) -> None:
         replace_file(place, path.read_bytes())
     except OSError as error:
         raise InputError(f"{path}: cannot be copied into the store: {error.strerror or error}") from error
-
-
-def _note_clock(faults: dict[str, tuple[int, str]], path: Path, block: Any) -> None:
-    count = block.num_rows - block["clock"].null_count
-    if count:
-        before = faults.get(str(path), (0, ""))
-        first = next(said for said in block["clock"].to_pylist() if said)
-        faults[str(path)] = (before[0] + count, before[1] or first)

@@ -14,8 +14,7 @@ import numpy as np
 
 from gateway.fleet.history import History, program_masses
 from gateway.result.fleet import GAIN, MASS, FleetTrend, ProgramLoad, RobotLine, State, quantity
-from gateway.result.interval import half_width
-from gateway.result.numerals import plain
+from gateway.result.numerals import half_width, plain
 from gateway.result.result import Outcome
 from gateway.result.values import NAN
 
@@ -48,7 +47,7 @@ def judged(
 ) -> RobotLine:
     """Return the state of a robot from its rows."""
     rows = history.rows
-    last = _last_seen(rows)
+    last = rows["time_utc"][rows.num_rows - 1].as_py().replace(tzinfo=UTC) if rows.num_rows else None
     silent = list(_silent(last, as_of, silent_days))
     if silent:
         loads = [load for load in loads if load.outcome == "fail"]
@@ -93,10 +92,6 @@ def _sureness(trend: FleetTrend) -> tuple[float, float]:
 
 
 _ORDER: Final[dict[State, int]] = {"visit": 0, "not seen": 1, "cannot tell": 2, "healthy": 3}
-
-
-def _last_seen(rows: Any) -> datetime | None:
-    return rows["time_utc"][rows.num_rows - 1].as_py().replace(tzinfo=UTC) if rows.num_rows else None
 
 
 def _failing(rows: Any) -> Iterator[Reason]:
@@ -182,16 +177,11 @@ def _nearest(trends: Sequence[FleetTrend]) -> float:
 
 def program_loads(rows: Any, as_of: datetime, silent_days: float) -> tuple[ProgramLoad, ...]:
     """Return the load of every program, and whether it is verified."""
-    outcomes = _outcomes(rows)
+    outcomes = {each["program"]: each["outcome"] for loads in rows["loads"].to_pylist() for each in loads or ()}
     return tuple(
         _program(program, rows, mass, std, outcomes.get(program), (as_of, silent_days))
         for program, (mass, std) in sorted(program_masses(rows).items())
     )
-
-
-def _outcomes(rows: Any) -> dict[str, Outcome | None]:
-    """Return the result of the last check of every program."""
-    return {each["program"]: each["outcome"] for loads in rows["loads"].to_pylist() for each in loads or ()}
 
 
 def _program(

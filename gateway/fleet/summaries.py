@@ -19,9 +19,7 @@ from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.data.regular_file import regular_size
 from gateway.errors import InputError
 from gateway.fleet.checks import AHEAD_S, EARLIEST
-from gateway.fleet.columns import SUMMARY, TEMPERATURE, columns
-from gateway.fleet.identity import robot_name
-from gateway.fleet.libraries import library
+from gateway.fleet.columns import SUMMARY, TEMPERATURE, columns, library, robot_name
 from gateway.result.fleet import QUANTITIES
 from gateway.result.origin import file_sha256
 

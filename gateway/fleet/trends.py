@@ -10,21 +10,25 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fleet.correlated_noise import SHAPES, FittedLines, Sums, lines, sums
-from gateway.fleet.drift_detection import (
+from gateway.fleet.correlated_noise import (
     DRIFT,
     FEWEST_CHECKS,
     FEWEST_DAYS,
+    SHAPES,
+    FittedLines,
+    Sums,
     detectable,
+    lines,
     log_seen,
     mixed,
     needed_sigmas,
     sigmas,
+    sums,
     weights,
 )
 from gateway.fleet.history import CheckSeries
 from gateway.result.fleet import MASS, FleetTrend, TrendCurve
-from gateway.result.interval import half_width
+from gateway.result.numerals import half_width
 from gateway.result.values import NAN
 
 Floats = NDArray[np.float64]
@@ -72,7 +76,18 @@ def looks_of(series: CheckSeries) -> list[Look]:
     marks = np.arange(FEWEST_DAYS, day[-1] + LOOK_DAYS, LOOK_DAYS)
     at = np.unique(np.append(np.searchsorted(day, marks[marks <= day[-1]], side="right"), count))
     at = at[at >= 1]
-    reported = sums(series.time_a, _columns(series), _relative_std(series), at)
+    shape = series.value.shape
+    time = np.broadcast_to(series.time_a[:, None], shape)
+    known = np.isfinite(series.std) & (series.std > 0.0) & np.isfinite(series.value)
+    usual = np.array(
+        [np.median(column[flags]) if flags.any() else 1.0 for column, flags in zip(series.std.T, known.T, strict=True)]
+    )
+    reported = sums(
+        series.time_a,
+        np.stack([np.ones(shape), time, series.temperature_c, series.load_kg, series.value], axis=2),
+        np.where(known, np.where(known, series.std, 1.0) / np.maximum(usual, 1e-300), 1.0),
+        at,
+    )
     return [Look(int(row), float(day[row - 1]), each) for row, each in zip(at, reported, strict=True)]
 
 
@@ -89,22 +104,6 @@ def _changes(value: Floats, table: Floats) -> Flags:
         axis=0, initial=np.inf
     )
     return np.isfinite(span) & (span > 1e-9)
-
-
-def _columns(series: CheckSeries) -> Floats:
-    """Return the regression columns (n, M, 5): level, drift, temperature, load and value, scaled to order one."""
-    shape = series.value.shape
-    time = np.broadcast_to(series.time_a[:, None], shape)
-    return np.stack([np.ones(shape), time, series.temperature_c, series.load_kg, series.value], axis=2)
-
-
-def _relative_std(series: CheckSeries) -> Floats:
-    """Return the standard deviation of every check over the median one (n, M); 1 if unknown."""
-    known = np.isfinite(series.std) & (series.std > 0.0) & np.isfinite(series.value)
-    usual = np.array(
-        [np.median(column[flags]) if flags.any() else 1.0 for column, flags in zip(series.std.T, known.T, strict=True)]
-    )
-    return np.where(known, np.where(known, series.std, 1.0) / np.maximum(usual, 1e-300), 1.0)
 
 
 # -- correlated noise of the fleet

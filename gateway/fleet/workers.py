@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 from gateway.errors import ConfigError, GatewayError
-from gateway.fleet.libraries import library
+from gateway.fleet.columns import library
 
 Item = TypeVar("Item")
 Done = TypeVar("Done")
@@ -68,14 +68,20 @@ def workers(
     elif (scheduler or "").startswith("tls://"):
         raise ConfigError(f"--scheduler {scheduler}: needs --tls-ca-file, --tls-cert and --tls-key")
     if scheduler is not None:
-        _reach(scheduler)
+        place = scheduler.partition("://")[2] or scheduler
+        host, _, port = place.rpartition(":")
+        try:
+            socket.create_connection((host.strip("[]"), int(port)), timeout=PATIENCE_S).close()
+        except (OSError, ValueError, OverflowError) as error:
+            raise ConfigError(_no_answer(scheduler)) from error
     library("dask").config.set({"distributed.comm.timeouts.connect": f"{PATIENCE_S}s"})
     cluster: Any = None
     client: Any = None
     try:
         if scheduler is None:
             cluster = distributed.LocalCluster(
-                n_workers=count or _processors(),
+                n_workers=count
+                or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1),
                 threads_per_worker=1,
                 processes=True,
                 dashboard_address=None,
@@ -107,21 +113,6 @@ def _security(files: Certificates) -> Any:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{authority}, {certificate}, {key}: cannot be used for TLS: {error}") from error
     return security
-
-
-def _reach(scheduler: str) -> None:
-    """Raise an error if the scheduler does not accept a connection in time.
-
-    Raises
-    ------
-    ConfigError
-    """
-    place = scheduler.partition("://")[2] or scheduler
-    host, _, port = place.rpartition(":")
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=PATIENCE_S).close()
-    except (OSError, ValueError, OverflowError) as error:
-        raise ConfigError(_no_answer(scheduler)) from error
 
 
 def _no_answer(scheduler: str) -> str:
@@ -189,8 +180,3 @@ def guarded(function: Callable[[Item], Done], item: Item) -> Done | GatewayError
         return function(item)
     except GatewayError as error:
         return error
-
-
-def _processors() -> int:
-    """Return the number of processors available to this process; all where the system does not report it."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -28,8 +28,7 @@ from gateway.result.follow import (
     TorqueCurve,
     TrendCloud,
 )
-from gateway.result.interval import SAID
-from gateway.result.numerals import with_interval
+from gateway.result.numerals import SAID, with_interval
 from gateway.result.result import Finding
 from gateway.result.values import matrix, numbers
 

@@ -20,7 +20,7 @@ from drives.errors import DriveError
 from drives.exchange import Pacing
 from gateway.acquire.plan import travel_limits
 from gateway.acquire.route import path_to
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.feedforward.law import FeedforwardLaw
 from gateway.feedforward.ramp import Ramp

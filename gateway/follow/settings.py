@@ -16,11 +16,9 @@ from drives.profile import DriveProfile
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import DataUnusable, PlanRefused
 from gateway.feedforward.dynamics import ArmDynamics
-from gateway.feedforward.identified import Identified, checked, read_identified
-from gateway.feedforward.law import AxisTerms, FeedforwardLaw
+from gateway.feedforward.identified import Identified, checked, corrected_parameters, drawn_parameters, read_identified
+from gateway.feedforward.law import AxisTerms, FeedforwardLaw, axis_terms
 from gateway.feedforward.load import FeedLoad, check_origin, identified_load, rated_load
-from gateway.feedforward.parameters import corrected_parameters, drawn_parameters
-from gateway.feedforward.terms import axis_terms
 from gateway.follow.path import FollowPath, check_path, read_path
 from gateway.model.arm_model import arm_robot
 from gateway.model.load_bounds import load_bounds

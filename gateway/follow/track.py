@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.data.sample import ArmSample, following_error_rad
+from gateway.data.visit import ArmSample, following_error_rad
 from gateway.result.follow import FedLoad, FollowedSetting
 from gateway.result.values import numbers
 

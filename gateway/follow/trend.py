@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from gateway.feedforward.load import FeedLoad
 from gateway.follow.settings import FeedModel
 from gateway.follow.track import Track
-from gateway.identify.motion.friction import FRICTION, friction_columns
+from gateway.identify.motion.prior import FRICTION, friction_columns
 from gateway.identify.solve import ByGroup, Solution, determined, solve
 from gateway.identify.spread import jackknife
 from gateway.model.motion import SMOOTH_RAD_S

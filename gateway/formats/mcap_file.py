@@ -62,28 +62,31 @@ def to_mcap(samples: Samples) -> bytes:
         writer.add_metadata(f"arms/{arm.name}", arm.about)
     joint_state = writer.register_schema(JOINT_STATE, "ros2msg", JOINT_STATE_TEXT.encode())
     for arm in samples.arms:
-        _write_arm(writer, arm, joint_state)
+        text = json.dumps(
+            {
+                "title": f"samples of arm {arm.name}",
+                "type": "object",
+                "properties": {name: _property(measurand, arm.axes) for name, measurand in arm.measurands.items()},
+            }
+        )
+        schema = writer.register_schema(f"servo_gateway/{arm.name}", "jsonschema", text.encode())
+        complete = writer.register_channel(f"/{arm.name}/samples", "json", schema)
+        units = {"position": "rad", "effort": "Nm"}
+        states = writer.register_channel(f"/{arm.name}/joint_states", "cdr", joint_state, units)
+        stamps = [round(time_s * _NS) for time_s in arm.measurands["time_s"].values.tolist()]
+        for row, (stamp_ns, message) in enumerate(zip(stamps, _messages(arm), strict=True)):
+            writer.add_message(complete, stamp_ns, json.dumps(message).encode(), stamp_ns, row)
+            if "q_rad" in message:
+                torque = arm.measurands.get("joint_torque_nm")
+                state = joint_state_cdr(
+                    stamp_ns,
+                    arm.name,
+                    arm.measurands["q_rad"].values[row],
+                    (np.zeros(0) if torque is None or not torque.present[row].any() else torque.values[row]),
+                )
+                writer.add_message(states, stamp_ns, state, stamp_ns, row)
     writer.finish()
     return sink.getvalue()
-
-
-def _write_arm(writer: Any, arm: ArmSamples, joint_state: int) -> None:
-    text = json.dumps(_json_schema(arm))
-    schema = writer.register_schema(f"servo_gateway/{arm.name}", "jsonschema", text.encode())
-    complete = writer.register_channel(f"/{arm.name}/samples", "json", schema)
-    units = {"position": "rad", "effort": "Nm"}
-    states = writer.register_channel(f"/{arm.name}/joint_states", "cdr", joint_state, units)
-    stamps = [round(time_s * _NS) for time_s in arm.measurands["time_s"].values.tolist()]
-    for row, (stamp_ns, message) in enumerate(zip(stamps, _messages(arm), strict=True)):
-        writer.add_message(complete, stamp_ns, json.dumps(message).encode(), stamp_ns, row)
-        if "q_rad" in message:
-            state = joint_state_cdr(stamp_ns, arm.name, arm.measurands["q_rad"].values[row], _efforts(arm, row))
-            writer.add_message(states, stamp_ns, state, stamp_ns, row)
-
-
-def _efforts(arm: ArmSamples, row: int) -> np.ndarray:
-    torque = arm.measurands.get("joint_torque_nm")
-    return np.zeros(0) if torque is None or not torque.present[row].any() else torque.values[row]
 
 
 def _messages(arm: ArmSamples) -> Iterator[dict[str, Any]]:
@@ -100,14 +103,6 @@ def _cells(measurand: Measurand) -> list[Any]:
     if measurand.values.dtype.kind == "f":
         values[~np.isfinite(measurand.values)] = None
     return values.tolist()
-
-
-def _json_schema(arm: ArmSamples) -> dict[str, Any]:
-    return {
-        "title": f"samples of arm {arm.name}",
-        "type": "object",
-        "properties": {name: _property(measurand, arm.axes) for name, measurand in arm.measurands.items()},
-    }
 
 
 def _property(measurand: Measurand, axes: int) -> dict[str, Any]:

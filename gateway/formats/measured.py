@@ -1,15 +1,23 @@
-"""Import of a measured table from the log of another program, with a map of its columns."""
+"""Import of a measured table from the log of another program, with a map of its columns.
+
+Rest intervals are detected: poses, and the approach direction of each joint. A preview shows first values, ranges and
+problems of the columns.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from gateway.cell.plausible import LARGEST_ANGLE_RAD
 from gateway.data.csv_text import text_cells
@@ -17,13 +25,19 @@ from gateway.data.labels import BARE_LABEL, label_refused
 from gateway.data.regular_file import regular_size
 from gateway.errors import InputError
 from gateway.formats.log import Log
-from gateway.formats.log_map import LogColumn, LogMap
-from gateway.formats.preview import PreviewColumn, preview
-from gateway.formats.rest_detection import Stretch, at_rest
+from gateway.formats.log_map import (
+    NEEDS,
+    TIME_UNITS,
+    UNITS,
+    LogMap,
+    LogRest,
+    kind_of,
+    pattern_of,
+    unit_named,
+)
 from gateway.formats.ros_bag import SUFFIXES, read_bag
 from gateway.formats.smooth import SmoothedMotion, clock_of, motion_of
 from gateway.formats.text_log import read_text_log
-from gateway.formats.units import NEEDS, TIME_UNITS, UNITS, kind_of, pattern_of, unit_named
 
 Floats = NDArray[np.float64]
 #: Columns whose samples have a spread over a stretch of standing, and what that is called.
@@ -53,8 +67,8 @@ def table_from_log(path: Path, stated: LogMap) -> tuple[str, int, tuple[str, ...
     Raises
     ------
     InputError
-        With file and line: a column that is missing, a cell that is no finite number, a time that goes back, an angle
-        that can only be in another unit, nothing that is kept.
+        With file and line: a column is missing, a cell is no finite number, a time goes back, an angle can only be in
+        another unit. Or nothing is kept.
     ConfigError
         A library is not installed.
     """
@@ -102,12 +116,48 @@ def preview_of(path: Path, stated: LogMap) -> tuple[list[PreviewColumn], list[st
 def _kept_rows(path: Path, stated: LogMap) -> tuple[Log, Floats, NDArray[np.object_], dict[str, Floats]]:
     """Return the rows that the map keeps: log, times, labels, and columns of the table."""
     log = _opened(path, stated)
-    time_s = _times(log, stated)
-    kept = _kept(log, stated, time_s)
+    _refuse_unit(log, stated.time.column, stated.time.unit)
+    stamps = log.times(stated.time.column)
+    time_s = log.numbers(stated.time.column) * TIME_UNITS[stated.time.unit] if stamps is None else stamps
+    back = np.diff(time_s) <= 0
+    if back.any():
+        row = int(np.argmax(back)) + 1
+        what = "goes back" if time_s[row] < time_s[row - 1] else "stands still"
+        raise InputError(
+            f"{log.where(row)}: {stated.time.column}: time {what}, {time_s[row]:.9g} s after {time_s[row - 1]:.9g} s;"
+            " cut the log there"
+        )
+    time_s = time_s - time_s[0] if stated.time.base == "first" else time_s
+    rows = stated.rows
+    kept = np.ones(len(time_s), dtype=bool)
+    if rows.from_s is not None:
+        kept &= time_s >= rows.from_s
+    if rows.to_s is not None:
+        kept &= time_s <= rows.to_s
+    if rows.column is not None:
+        kept[kept] = np.isin(log.take(kept).numbers(rows.column), rows.equals)
     if not kept.any():
         raise InputError(f"{path}: [rows] of the map keeps none of the log's {len(kept)} rows")
     log, time_s = log.take(kept), time_s[kept]
-    return log, time_s, _labels(log, stated), _values(log, stated)
+    found: dict[str, Floats] = {}
+    for column in stated.column:
+        for source, target, axis in stated.names(column):
+            if column.optional and source not in log.columns:
+                continue
+            _refuse_unit(log, source, column.unit)
+            factor, shift = UNITS[kind_of(column.table) or "number"][column.unit]
+            need = NEEDS.get(column.unit)
+            if need == "rated":
+                factor *= _of(column.rated, axis)
+            elif need is not None:
+                factor /= _of(column.counts_per_revolution, axis)
+            if column.gear_ratio is not None:
+                factor /= _of(column.gear_ratio, axis)
+            values = _of(column.sign, axis) * (log.numbers(source) * factor + shift) + _of(column.offset, axis)
+            if kind_of(column.table) == "angle":
+                _refuse_degrees(log, source, target, values)
+            found[target] = values
+    return log, time_s, _labels(log, stated), found
 
 
 def _opened(path: Path, stated: LogMap) -> Log:
@@ -121,33 +171,6 @@ def _opened(path: Path, stated: LogMap) -> Log:
     return read_bag(path, stated.log.topic, stated.joints)
 
 
-def _times(log: Log, stated: LogMap) -> Floats:
-    _refuse_unit(log, stated.time.column, stated.time.unit)
-    stamps = log.times(stated.time.column)
-    time_s = log.numbers(stated.time.column) * TIME_UNITS[stated.time.unit] if stamps is None else stamps
-    back = np.diff(time_s) <= 0
-    if back.any():
-        row = int(np.argmax(back)) + 1
-        what = "goes back" if time_s[row] < time_s[row - 1] else "stands still"
-        raise InputError(
-            f"{log.where(row)}: {stated.time.column}: time {what}, {time_s[row]:.9g} s after {time_s[row - 1]:.9g} s;"
-            " cut the log there"
-        )
-    return time_s - time_s[0] if stated.time.base == "first" else time_s
-
-
-def _kept(log: Log, stated: LogMap, time_s: Floats) -> NDArray[np.bool_]:
-    rows = stated.rows
-    kept = np.ones(len(time_s), dtype=bool)
-    if rows.from_s is not None:
-        kept &= time_s >= rows.from_s
-    if rows.to_s is not None:
-        kept &= time_s <= rows.to_s
-    if rows.column is not None:
-        kept[kept] = np.isin(log.take(kept).numbers(rows.column), rows.equals)
-    return kept
-
-
 def _labels(log: Log, stated: LogMap) -> NDArray[np.object_]:
     if stated.load.column is None:
         return np.full(len(log.line), stated.load.label or BARE_LABEL, dtype=object)
@@ -156,21 +179,6 @@ def _labels(log: Log, stated: LogMap) -> NDArray[np.object_]:
         if wrong := label_refused(str(label)):
             raise InputError(f"{log.where(row)}: {stated.load.column}: load '{label}' {wrong}")
     return labels
-
-
-def _values(log: Log, stated: LogMap) -> dict[str, Floats]:
-    """Return the columns of the table by name, in its units."""
-    found: dict[str, Floats] = {}
-    for column in stated.column:
-        for source, target, axis in stated.names(column):
-            if column.optional and source not in log.columns:
-                continue
-            _refuse_unit(log, source, column.unit)
-            values = _converted(log.numbers(source), column, axis)
-            if kind_of(column.table) == "angle":
-                _refuse_degrees(log, source, target, values)
-            found[target] = values
-    return found
 
 
 def _refuse_unit(log: Log, name: str, unit: str) -> None:
@@ -184,18 +192,6 @@ def _refuse_unit(log: Log, name: str, unit: str) -> None:
             f"{log.file}:{line}: {name}: the log says '{reported[:20]}', the map says {unit}; write unit = \"{said}\""
             " if the log is right"
         )
-
-
-def _converted(values: Floats, column: LogColumn, axis: int) -> Floats:
-    factor, shift = UNITS[kind_of(column.table) or "number"][column.unit]
-    need = NEEDS.get(column.unit)
-    if need == "rated":
-        factor *= _of(column.rated, axis)
-    elif need is not None:
-        factor /= _of(column.counts_per_revolution, axis)
-    if column.gear_ratio is not None:
-        factor /= _of(column.gear_ratio, axis)
-    return _of(column.sign, axis) * (values * factor + shift) + _of(column.offset, axis)
 
 
 def _of(value: float | tuple[float, ...] | None, axis: int) -> float:
@@ -291,3 +287,133 @@ def _imported(columns: dict[str, list[object]], remarks: tuple[str, ...] = ()) -
     writer.writerow(columns)
     writer.writerows(zip(*map(text_cells, columns.values()), strict=True))
     return stream.getvalue(), len(next(iter(columns.values()))), remarks
+
+
+#: Rows that are shown.
+SHOWN: Final = 3
+#: A speed that is so far from the change of its angle, as a ratio, is in another unit or has another sign.
+_OFF: Final = 0.3
+#: Largest torque of an axis that no arm has [Nm], and the smallest that is no noise of a sensor.
+_LARGEST_NM: Final = 1e5
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewColumn:
+    """Column of the preview: source, first values, range, and suspected error."""
+
+    name: str
+    source: str
+    first: tuple[float, ...]
+    least: float
+    most: float
+    remark: str
+
+
+def preview(time_s: Floats, values: Mapping[str, Floats], sources: Mapping[str, str]) -> Iterator[PreviewColumn]:
+    """Describe columns (n,) of a table, in the row order of the log.
+
+    Parameters
+    ----------
+    time_s : array of shape (n,)
+    values : mapping of str to array of shape (n,)
+    sources : mapping of str to str
+        Column of the log, and its unit, by column of the table.
+    """
+    yield _column("time_s", sources.get("time_s", ""), time_s, "")
+    for name, cells in values.items():
+        yield _column(name, sources.get(name, ""), cells, "; ".join(_odd(name, cells, time_s, values)))
+
+
+def _column(name: str, source: str, cells: Floats, remark: str) -> PreviewColumn:
+    return PreviewColumn(name, source, tuple(cells[:SHOWN].tolist()), float(cells.min()), float(cells.max()), remark)
+
+
+def _odd(name: str, cells: Floats, time_s: Floats, values: Mapping[str, Floats]) -> Iterator[str]:
+    if len(cells) > 1 and not np.ptp(cells) and (cells[0] or name.startswith(("tau", "i"))):
+        yield "never changes"
+    if name.startswith("q") and name.endswith("_rad") and np.abs(cells).max() > 2 * math.pi:
+        yield "range above one revolution: is it a motor angle (set gear_ratio), or in another unit?"
+    if name.endswith("_nm") and np.abs(cells).max() > _LARGEST_NM:
+        yield f"beyond {_LARGEST_NM:g} Nm: is the unit mNm?"
+    if name.startswith("qd") and name.endswith("_rad_s"):
+        yield from _against_angle(cells, values.get(f"q{name[2:-6]}_rad"), time_s)
+
+
+def _against_angle(speed: Floats, angle: Floats | None, time_s: Floats) -> Iterator[str]:
+    """Return how a speed disagrees with the change of its angle; empty if it agrees."""
+    if angle is None or len(time_s) < SHOWN or np.ptp(time_s) <= 0:
+        return
+    travelled = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))])
+    travelled, moved = travelled - travelled.mean(), angle - angle.mean()
+    if not moved @ moved > 1e-6 * len(moved):
+        return
+    ratio = float(travelled @ moved / (moved @ moved))
+    if abs(ratio - 1.0) > _OFF:
+        what = "the other sign" if ratio < 0 else "another unit"
+        yield f"is {ratio:.3g} times the change of the angle: {what}?"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """Rest interval: rows, pose number, sign of each joint's last motion (N,); 0 = unknown."""
+
+    rows: slice
+    pose: int
+    direction: NDArray[np.int8]
+
+
+def at_rest(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: LogRest) -> list[Stretch]:
+    """Return the intervals in which no joint moves, each with one load.
+
+    Parameters
+    ----------
+    time_s : array of shape (n,)
+    q_rad : array of shape (n, N)
+    labels : array of shape (n,)
+        Label of the load.
+    rest : LogRest
+    """
+    found: list[Stretch] = []
+    known: list[Floats] = []
+    for start, stop in _windows(time_s, q_rad, labels, rest):
+        begin = int(np.searchsorted(time_s, time_s[start] + rest.settle_s))
+        end = int(np.searchsorted(time_s, time_s[stop - 1] - rest.settle_s, side="right"))
+        if end - begin < 2:
+            continue
+        mean = q_rad[begin:end].mean(axis=0)
+        pose = _pose(mean, known, rest.same_pose_rad)
+        before_rad = q_rad[:start]
+        signs = np.zeros(len(mean), dtype=np.int8)
+        for joint, at_rad in enumerate(mean):
+            elsewhere = np.flatnonzero(np.abs(before_rad[:, joint] - at_rad) > rest.within_rad)
+            if len(elsewhere):
+                signs[joint] = np.sign(at_rad - before_rad[elsewhere[-1], joint])
+        found.append(Stretch(slice(begin, end), rest.first_pose + pose, signs))
+    return found
+
+
+def _windows(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: LogRest) -> list[tuple[int, int]]:
+    """Yield the first row and the row after the last of each rest interval."""
+    if len(time_s) < 2:
+        return []
+    width = max(2, round(rest.seconds / float(np.median(np.diff(time_s)))) + 1)
+    if width > len(time_s):
+        return []
+    _, load = np.unique(labels.astype(str), return_inverse=True)
+    watched = np.column_stack([q_rad / rest.within_rad, 2.0 * load])
+    origin = (width - 1) // 2 - (width - 1)  # the window begins at its row
+    spread = maximum_filter1d(watched, width, axis=0, origin=origin) - minimum_filter1d(
+        watched, width, axis=0, origin=origin
+    )
+    still = np.asarray((spread <= 1.0).all(axis=1))
+    still[len(time_s) - width + 1 :] = False
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    return [(int(first), int(last) - 1 + width) for first, last in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _pose(mean_rad: Floats, known: list[Floats], same_rad: float) -> int:
+    for number, other in enumerate(known):
+        if np.abs(mean_rad - other).max() <= same_rad:
+            return number
+    known.append(mean_rad)
+    return len(known) - 1

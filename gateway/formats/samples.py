@@ -14,7 +14,6 @@ import numpy as np
 
 from gateway.data.recording.hdf5_text import Hdf5Group, open_recording
 from gateway.data.recording.reader import read
-from gateway.data.recording.recorded import Recording
 from gateway.errors import InputError
 
 #: Groups of an arm that hold samples, and what one of them is called.
@@ -110,7 +109,14 @@ def read_samples(path: Path, arm_name: str | None = None, label: str | None = No
         As `gateway.data.recording.reader.read`, or the file holds no such arm or load.
     """
     recording = read(path)
-    _refuse_unknown(recording, arm_name, label)
+    names = [arm.name for arm in recording.arms]
+    if arm_name not in (None, *names):
+        raise InputError(
+            f"{recording.path}: contains the arms {', '.join(names) or 'none'}: name one of them with --arm"
+        )
+    if label not in (None, *recording.loads):
+        held = ", ".join(recording.loads) or "no sample yet"
+        raise InputError(f"{recording.path}: load '{label}' is not in the recording; it contains {held}")
     axes = {arm.name: len(arm.axis) for arm in recording.cell.arm}
     with open_recording(path) as root:
         arms = root.inside("arms")
@@ -122,17 +128,6 @@ def read_samples(path: Path, arm_name: str | None = None, label: str | None = No
                 if arm_name in (None, arm.name)
             ),
         )
-
-
-def _refuse_unknown(recording: Recording, arm_name: str | None, label: str | None) -> None:
-    names = [arm.name for arm in recording.arms]
-    if arm_name not in (None, *names):
-        raise InputError(
-            f"{recording.path}: contains the arms {', '.join(names) or 'none'}: name one of them with --arm"
-        )
-    if label not in (None, *recording.loads):
-        held = ", ".join(recording.loads) or "no sample yet"
-        raise InputError(f"{recording.path}: load '{label}' is not in the recording; it contains {held}")
 
 
 def _arm(place: Hdf5Group, name: str, axes: int, label: str | None) -> ArmSamples:
@@ -177,7 +172,16 @@ def _repeated(name: str, value: Any, samples: int, axes: int) -> Measurand:
 def _joined(groups: list[dict[str, Measurand]]) -> dict[str, Measurand]:
     """Concatenate groups; a quantity that a group lacks is absent in its samples."""
     if not groups:
-        return _nothing()
+        empty = {
+            "group": ("", np.zeros(0, dtype=object)),
+            "number": ("", np.zeros(0, dtype=np.int64)),
+            "load": ("", np.zeros(0, dtype=object)),
+            "sync_index": ("SYNC number since the bus was opened", np.zeros(0, dtype=np.int64)),
+            "time_s": ("s", np.zeros(0)),
+        }
+        return {
+            name: Measurand(name, unit, "", values, np.zeros(0, dtype=bool)) for name, (unit, values) in empty.items()
+        }
     names = dict.fromkeys(name for part in groups for name in part)
     lengths = [len(part["time_s"].values) for part in groups]
     return {name: _one(name, [part.get(name) for part in groups], lengths) for name in names}
@@ -189,7 +193,7 @@ def _one(name: str, parts: list[Measurand | None], lengths: list[int]) -> Measur
     shape = max((part.values.shape[1:] for part in held), key=len)
     values, present = [], []
     for part, length in zip(parts, lengths, strict=True):
-        blank = np.full((length, *shape), _blank(kind), dtype=kind)
+        blank = np.full((length, *shape), {"f": np.nan, "O": "", "b": False}.get(kind.kind, 0), dtype=kind)
         values.append(blank if part is None else _widened(part.values, blank))
         present.append(np.zeros(blank.shape, dtype=bool) if part is None else _widened(part.present, blank == blank))
     reported = max(held, key=lambda part: bool(part.remark))
@@ -198,19 +202,3 @@ def _one(name: str, parts: list[Measurand | None], lengths: list[int]) -> Measur
 
 def _widened(values: np.ndarray, like: np.ndarray) -> np.ndarray:
     return values if values.ndim == like.ndim else np.broadcast_to(values[:, None], like.shape)
-
-
-def _blank(kind: np.dtype[Any]) -> Any:
-    return {"f": np.nan, "O": "", "b": False}.get(kind.kind, 0)
-
-
-def _nothing() -> dict[str, Measurand]:
-    """Return the quantities that every arm has, without samples."""
-    empty = {
-        "group": ("", np.zeros(0, dtype=object)),
-        "number": ("", np.zeros(0, dtype=np.int64)),
-        "load": ("", np.zeros(0, dtype=object)),
-        "sync_index": ("SYNC number since the bus was opened", np.zeros(0, dtype=np.int64)),
-        "time_s": ("s", np.zeros(0)),
-    }
-    return {name: Measurand(name, unit, "", values, np.zeros(0, dtype=bool)) for name, (unit, values) in empty.items()}

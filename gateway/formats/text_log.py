@@ -57,7 +57,21 @@ def read_text_log(path: Path, form: LogFormat, texts: Collection[str], numbers: 
     lines = [(number, line) for number, line in lines if line.strip(" \t\r\n,;")]
     if not lines:
         raise InputError(f"{path}:1: the file contains no header line; see skip_lines under [log] of the map")
-    separator, at, header = _header(lines, form, {*texts, *numbers})
+    wanted = {*texts, *numbers}
+    separators = (form.separator,) if form.separator else SEPARATORS
+    first = next((at for at, (_, line) in enumerate(lines) if not _COMMENT.match(line)), 0)
+    found = (separators[0], first, _cells(lines[first][1], separators[0]))
+    most = 0
+    for at, (_, line) in enumerate(lines[:_HEADER_WITHIN]):
+        for text in (line, _COMMENT.sub("", line, count=1)):
+            for separator in separators:
+                names = _cells(text, separator)
+                held = len(wanted & set(names))
+                if held > most:
+                    found, most = (separator, at, names), held
+        if most == len(wanted):
+            break
+    separator, at, header = found[0], found[1], _without_end(found[2])
     twice = next((name for index, name in enumerate(header) if name and name in header[:index]), None)
     if twice is not None:
         raise InputError(f"{path}:{lines[at][0]}: column '{twice[:40]}' is given twice")
@@ -113,27 +127,6 @@ def _cells(line: str, separator: str) -> list[str]:
     if separator == " ":
         return line.split()
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
-
-
-def _header(lines: list[tuple[int, str]], form: LogFormat, wanted: set[str]) -> tuple[str, int, list[str]]:
-    """Return separator, line index and names of the header: the first line with all required names, else with most.
-
-    Without any required name it is the first line that is not a comment.
-    """
-    separators = (form.separator,) if form.separator else SEPARATORS
-    first = next((at for at, (_, line) in enumerate(lines) if not _COMMENT.match(line)), 0)
-    found = (separators[0], first, _cells(lines[first][1], separators[0]))
-    most = 0
-    for at, (_, line) in enumerate(lines[:_HEADER_WITHIN]):
-        for text in (line, _COMMENT.sub("", line, count=1)):
-            for separator in separators:
-                names = _cells(text, separator)
-                held = len(wanted & set(names))
-                if held > most:
-                    found, most = (separator, at, names), held
-        if most == len(wanted):
-            break
-    return found[0], found[1], _without_end(found[2])
 
 
 def _without_end(names: list[str]) -> list[str]:

@@ -21,22 +21,23 @@ from gateway.identify.alternatives import (
     LINK_SCALE,
     LINK_SPREADS,
     PRIOR_ODDS,
+    LinearisedFit,
     wider_statements,
     wider_std,
 )
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.known_load import least_supported, load_contradicted
+from gateway.identify.load_estimate import load_directions
 from gateway.identify.model_conflict import ModelConflict, model_conflict
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.linearised import LinearisedFit
 from gateway.identify.rest.problem import build_problem, open_link_prior
 from gateway.identify.rest.rest_loads import well_determined
 from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.model.placeholders import mass_placeholder
-from gateway.model.robot import Robot
+from gateway.model.robot import Robot, reach_m
 from gateway.model.visits import Visits
+from gateway.result.numerals import PLUS_MINUS, TWO_SIDED_95
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
@@ -45,6 +46,9 @@ Floats = NDArray[np.float64]
 _APART: Final = "\x1f"
 #: Groups that can be in conflict, one after the other.
 _ROUNDS: Final = 3
+#: Prior of a wrong statement: standard deviation of the mass over the stated one, of the centre over the arm's reach.
+_WRONG_MASS: Final = 0.5
+_WRONG_CENTRE: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +92,8 @@ def settle(
             break
         other = build_problem(robot, rows, wider)
         refitted = fit_without_effects(other)
-        if not _shows(robot, other, refitted, settled, wider):
+        # The widened parameters differ significantly from the statements; guards against rounding in noise-free rows
+        if not all(away > CONFLICT.shown for away, _ in _contradicted(robot, other, refitted, settled, wider)):
             break
         if settled is trusted:
             log_odds = odds + float(np.log(PRIOR_ODDS))
@@ -97,13 +102,6 @@ def settle(
     contradicted = settled.trust != trusted.trust or settled.gain_std != trusted.gain_std
     large = model_conflict(robot, *stated, trusted) if contradicted else None
     return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), log_odds, large)
-
-
-def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wider: Knowledge) -> bool:
-    """Return whether the widened parameters differ significantly from the statements; guards against rounding in
-    noise-free rows.
-    """
-    return all(away > CONFLICT.shown for away, _ in _contradicted(robot, problem, fit, stated, wider))
 
 
 def _wider_knowledge(
@@ -298,3 +296,72 @@ def two_bodies(robot: Robot, rows: Visits, knowledge: Knowledge) -> Mapping[str,
                     f" {runs[0]} and {mass[1]:.4g} \N{PLUS-MINUS SIGN} {1.96 * std[1]:.2g} kg in run {run} (95 %)"
                 )
     return out
+
+
+def least_supported(
+    robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge
+) -> tuple[Knowledge | None, float]:
+    """Return the knowledge without the least supported known load, and the log odds against its statement.
+
+    None where no load is known.
+    """
+    tried = [
+        (_free_odds(robot, problem, fit, knowledge, label), knowledge.without_load(label))
+        for label in knowledge.stated_loads
+    ]
+    odds, freed = max(tried, key=lambda each: each[0], default=(-np.inf, None))
+    return freed, float(odds)
+
+
+def _free_odds(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge, label: str) -> float:
+    """Log marginal likelihood of a free load over that of the stated one."""
+    load = knowledge.stated_loads[label]
+    if not load.mass_kg > 0.0:
+        return -np.inf
+    stated = load.mass_kg * np.array([1.0, *(load.com_m or (0.0,) * 3)])
+    std = load.mass_kg * np.array([_WRONG_MASS, *[_WRONG_CENTRE * reach_m(robot)] * 3])
+    held = 1 if load.com_m is None else 4
+    freed = build_problem(robot, problem.rows, knowledge.without_load(label), problem.nuisance.changes)
+    prior = np.zeros((held, freed.n_common))
+    prior[:, freed.load_part(freed.labels.index(label))] = np.diag(1.0 / std)[:held]
+    freed = replace(
+        freed,
+        prior_rows=np.vstack([freed.prior_rows, prior]),
+        prior_target=np.append(freed.prior_target, (stated / std)[:held]),
+    )
+    before = fit.evidence
+    if label in knowledge.weighed:  # the norm of its prior; a load that is known exactly has none
+        rows, _ = load.rows()
+        before += float(np.sum(np.log(np.diag(rows[:, :held]))))
+    return fit_without_effects(freed).evidence - float(np.sum(np.log(std[:held]))) - before
+
+
+def load_contradicted(
+    robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, label: str
+) -> tuple[float, Finding]:
+    """Report a stated load that the measurement contradicts, with the standard deviations by which it differs."""
+    load = stated.stated_loads[label]
+    mass_kg, centre = load.mass_kg, load.com_m or ()
+    moment, part = fit.loads[problem.labels.index(label)], problem.load_part(problem.labels.index(label))
+    turn = np.zeros((4, len(fit.scale)))
+    turn[:, part] = load_directions(moment)
+    std = np.sqrt(np.maximum(np.diag(turn @ fit.covariance @ turn.T), 1e-18))
+    std = np.where(well_determined(problem, fit, np.eye(len(fit.scale))[part]), std, np.inf)
+    found = np.array([moment[0], *(moment[1:] / moment[0])])
+    away = np.abs(found - np.array([mass_kg, *centre, *found[1 + len(centre) :]]))
+    away /= np.hypot(std, [load.mass_std_kg, *[load.com_std_m] * 3])
+    longest_m = reach_m(robot)
+    by_mass = bool(away[0] >= away[1:].max()) or not (std[1:] < longest_m).all()
+    if by_mass:
+        half = TWO_SIDED_95 * std[0]
+        what = f"mass of {mass_kg:.4g} kg is contradicted by the measurement, which gives {found[0]:.4g}"
+        what += f" {PLUS_MINUS} {half:.2g} kg (95 %) with the stated torque constants"
+        advice = "weigh the load, check its unit (kg) and which load was mounted; if the mass is right, the torque"
+        advice += f" constants of all axes are wrong by a factor of {mass_kg / found[0]:.3g} (rms or peak value)"
+    else:
+        each = [", ".join(f"{1e3 * x:.0f}" for x in values) for values in (centre, found[1:], TWO_SIDED_95 * std[1:])]
+        what = f"centre of gravity ({each[0]}) mm is contradicted by the measurement, which gives ({each[1]})"
+        what += f" {PLUS_MINUS} ({each[2]}) mm (95 %)"
+        advice = "check the frame of the centre (last link or flange), its unit, and which load was mounted"
+    what = f"the stated {what}; the statement is not used"
+    return float(away.max()), Finding("warn", f"load {label}", what, advice, "known_load")

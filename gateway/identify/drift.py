@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.model.visits import SAME_POSE_RAD, Visits
-from gateway.result.interval import half_width
+from gateway.result.numerals import half_width
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]

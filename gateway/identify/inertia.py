@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from gateway.result.inertia import COLUMN, ROW, tensor_of
 from gateway.result.names import INERTIA_PARTS, INERTIA_WHOLE
 
 Floats = NDArray[np.float64]
 
-#: Index of each of `INERTIA_PARTS` in a (3, 3) tensor.
-_ROW, _COLUMN = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+#: Index of each of `INERTIA_PARTS` among ten parameters [m, h, Ixx, Ixy, Ixz, Iyy, Iyz, Izz].
+_MOMENTS = np.array([4, 7, 9, 5, 6, 8])
 #: Least root of second moment over mass [m], as the thickness of a load.
 _THINNEST_M: Final = 1e-3
 #: Best uncertainty of a moment, as a radius of gyration [m].
@@ -56,27 +57,10 @@ class LoadInertia:
         return tuple(name for name, out in zip(INERTIA_PARTS, open_, strict=True) if out)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedBody:
-    """Body in the link's frame: `ten` (10,) [m, h, Ixx, Ixy, Ixz, Iyy, Iyz, Izz], and whether the free fit was
-    physical.
-    """
-
-    ten: Floats
-    free: bool
-
-
-def tensor_of(six: Floats) -> Floats:
-    """Tensor (3, 3) of [xx, xy, xz, yy, yz, zz]."""
-    out = np.zeros((3, 3))
-    out[np.triu_indices(3)] = six
-    return out + np.triu(out, 1).T
-
-
 def central_tensor(ten: Floats) -> Floats:
     """Inertia (3, 3) about the centre of gravity of a body (10,) that is given about the link's origin."""
     mass, first = ten[0], ten[1:4]
-    return tensor_of(ten[4:]) - (first @ first * np.eye(3) - np.outer(first, first)) / mass
+    return tensor_of(ten[_MOMENTS]) - (first @ first * np.eye(3) - np.outer(first, first)) / mass
 
 
 def second_moments(ten: Floats) -> Floats:
@@ -92,14 +76,14 @@ def is_body(ten: Floats) -> bool:
     return bool(np.linalg.eigvalsh(second_moments(ten))[0] >= ten[0] * _THINNEST_M**2 * (1.0 - _SAME))
 
 
-def nearest_body(ten: Floats, covariance: Floats) -> FittedBody:
+def nearest_body(ten: Floats, covariance: Floats) -> Floats:
     """Return the physical body nearest to ten free parameters (10,) in the metric of their covariance (10, 10).
 
     The unknowns are mass, centre of gravity and a triangular root of the second moments over the mass, so that every
     step is a body.
     """
     if is_body(ten):
-        return FittedBody(ten, True)
+        return ten
     # least uncertainty of the moments: a body that is barely too thin must not be corrected by its mass
     hair = np.concatenate([np.zeros(4), np.full(6, (ten[0] * _HAIR_M**2) ** 2)])
     whiten = _whitening(covariance + np.diag(hair))
@@ -114,7 +98,7 @@ def nearest_body(ten: Floats, covariance: Floats) -> FittedBody:
         jac=lambda unknown: whiten @ _body_directions(unknown, ten[0]),  # pyright: ignore[reportArgumentType]
         max_nfev=1000,
     )
-    return FittedBody(_body(found.x, ten[0]), False)
+    return _body(found.x, ten[0])
 
 
 def _whitening(covariance: Floats) -> Floats:
@@ -154,28 +138,31 @@ def central_directions(ten: Floats) -> Floats:
     """Derivatives (6, 10) of `INERTIA_PARTS` by the ten parameters."""
     mass, first = ten[0], ten[1:4]
     out = np.zeros((6, 10))
-    out[:, 0] = (first @ first * np.eye(3) - np.outer(first, first))[_ROW, _COLUMN] / mass**2
+    out[:, 0] = (first @ first * np.eye(3) - np.outer(first, first))[ROW, COLUMN] / mass**2
     for k in range(3):
         unit = np.eye(3)[k]
         change = 2.0 * first[k] * np.eye(3) - np.outer(unit, first) - np.outer(first, unit)
-        out[:, 1 + k] = -change[_ROW, _COLUMN] / mass
-    out[np.arange(6), 4 + np.array([0, 3, 5, 1, 2, 4])] = 1.0
+        out[:, 1 + k] = -change[ROW, COLUMN] / mass
+    out[np.arange(6), _MOMENTS] = 1.0
     return out
 
 
-def load_inertia(body: FittedBody, covariance: Floats) -> LoadInertia:
+def load_inertia(body: Floats, covariance: Floats, *, free: bool) -> LoadInertia:
     """Inertia about the centre of gravity; moments with a large uncertainty stay open.
 
     Parameters
     ----------
-    body : FittedBody
+    body : array of shape (10,)
+        Physical body in the link's frame, as of `nearest_body`.
     covariance : array of shape (10, 10)
         Of the free fit.
+    free : bool
+        The free fit was a body.
     """
-    tensor = central_tensor(body.ten)
-    turn = central_directions(body.ten)
+    tensor = central_tensor(body)
+    turn = central_directions(body)
     std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", turn, covariance, turn), 0.0))
     largest = float(np.linalg.eigvalsh(tensor)[-1])
-    determined = std <= max(_LARGEST_STD * largest, body.ten[0] * _SMALL_M**2)
-    value = tensor[_ROW, _COLUMN]
-    return LoadInertia(np.where(determined, value, np.nan), np.where(determined, std, np.nan), body.free)
+    determined = std <= max(_LARGEST_STD * largest, body[0] * _SMALL_M**2)
+    value = tensor[ROW, COLUMN]
+    return LoadInertia(np.where(determined, value, np.nan), np.where(determined, std, np.nan), free)

@@ -14,9 +14,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.knowledge import Knowledge
+from gateway.identify.load_estimate import negative_mass
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
-from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.rest.linear import Fit, RestProblem, certain_bands
+from gateway.identify.rest.problem import build_problem
+from gateway.model.robot import Robot
+from gateway.result.finding import Finding
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -29,6 +34,8 @@ LEFT: Final = 0.15
 _LEAST_VISITS: Final = 2
 #: Change of mass in standard deviations, and as a share of the heavier of both.
 _CERTAIN_STD, _LEAST_SHARE = 6.0, 0.1
+#: Log marginal likelihood that the opposite gravity must gain.
+_LOG_ODDS: Final = 10.0
 
 
 def mass_changes(problem: RestProblem, fit: Fit) -> dict[str, str]:
@@ -112,4 +119,31 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
     return (
         f"its rows contradict each other: {early_kg:.3g} kg up to pose {problem.rows.pose[last]}, {later_kg:.3g} kg"
         f" from pose {problem.rows.pose[then]} on (standard deviation of the change {std_kg:.2g} kg): {what}"
+    )
+
+
+def reversed_gravity(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge) -> tuple[Finding, ...]:
+    """Report a stated direction of gravity that is reversed; None if loads and friction do not show it."""
+    parts = [problem.load_part(index).start for index in range(len(problem.labels))]
+    std = np.sqrt(np.maximum(np.diag(fit.covariance)[parts], 0.0))
+    if not any(negative_mass(float(mass), float(s)) for mass, s in zip(fit.loads[:, 0], std, strict=True)):
+        return ()
+    bands = certain_bands(problem, fit)[problem.use_sum.any(axis=0)]
+    if np.median(bands) < 0.0:
+        return ()
+    x, y, z = knowledge.gravity_m_s2
+    other = build_problem(robot, problem.rows, replace(knowledge, gravity_m_s2=(-x, -y, -z)))
+    opposite = fit_without_effects(other)
+    if opposite.evidence - fit.evidence < _LOG_ODDS or misfit(other, opposite) > MISFIT:
+        return ()
+    return (
+        Finding(
+            "fail",
+            "gravity",
+            f"gravity is reversed: the opposite of ({x:.3g}, {y:.3g}, {z:.3g}) m/s2 explains the torque, and friction"
+            " has the right sign",
+            "check `gravity_m_s2` and how the base is mounted (ceiling or floor), torque signs and directions of all"
+            " axes together, and whether the zero of the first horizontal joint is off by 180 degrees",
+            "gravity_reversed",
+        ),
     )

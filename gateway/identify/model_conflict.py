@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.labels import BARE_LABEL
-from gateway.identify.alternatives import LINK_SCALE, wider_statements, wider_std
+from gateway.identify.alternatives import LINK_SCALE, LinearisedFit, wider_statements, wider_std
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.mass_change import LEFT, MISFIT, misfit
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.linearised import LinearisedFit
 from gateway.identify.rest.problem import build_problem
 from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.model.robot import Robot, reach_m

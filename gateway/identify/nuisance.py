@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from gateway.cell.quantities import relative_std
 from gateway.errors import ConfigError
@@ -44,24 +43,6 @@ _MOST_GAIN_STD: Final = 0.3
 _EXACT: Final = 1e-9
 #: Least number of half-differences of an axis to estimate its loss.
 _LEAST_HALVES: Final = 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NuisancePrior:
-    """Prior of the nuisance parameters of N axes.
-
-    Attributes
-    ----------
-    gain, gain_std : (N,) measured torque over true torque, less 1
-    bias_std_nm : (N,) of the bias by direction, mean 0
-    load_friction, load_friction_std : (N,)
-    """
-
-    gain: Floats
-    gain_std: Floats
-    bias_std_nm: Floats
-    load_friction: Floats
-    load_friction_std: Floats
 
 
 def gain_stds(stated: Sequence[float] | None, axes: int) -> Floats:
@@ -162,18 +143,15 @@ def efficiency_of(lost: float) -> float:
     return float(np.hypot(1.0, lost) - lost)
 
 
-def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> NuisancePrior:
-    """Return the prior of the nuisance parameters.
+def gain_prior(gain_std: Floats, lost: Floats) -> tuple[Floats, Floats]:
+    """Return mean and standard deviation (N,) of the gain errors: measured torque over true torque, less 1.
 
     Parameters
     ----------
     gain_std : array of shape (N,)
         Of the torque constants, relative.
-    band_nm : array of shape (N,)
-        Friction band of each axis; NaN = not seen, no bias can be predicted.
     lost : array of shape (N,)
-        Loss over transmitted torque that the half differences of the axis show (`losses`); NaN = not seen, as the prior
-        has it.
+        Loss over transmitted torque that the axis shows; NaN = not seen, as the prior has it.
 
     Notes
     -----
@@ -181,14 +159,12 @@ def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> Nui
     sides; losses that are even leave nothing. The kind of a gear is not stated: the gain is moved by half of it
     where the loss is seen, and only widened where it is not.
     """
-    band = np.abs(np.nan_to_num(np.asarray(band_nm, dtype=float)))
-    stated = np.asarray(lost, dtype=float)
-    nu = np.clip(np.where(np.isfinite(stated), stated, LOAD_FRICTION), 0.0, 1.0)
+    seen = np.isfinite(lost)
+    nu = np.clip(np.where(seen, lost, LOAD_FRICTION), 0.0, 1.0)
     middle = nu**2 / 4.0
-    return NuisancePrior(
-        gain=np.where(np.isfinite(stated), middle, 0.0),
-        gain_std=np.sqrt(gain_std**2 + middle**2 + (UNEVEN_LOSS * nu) ** 2),
-        bias_std_nm=np.maximum(np.hypot(BIAS_SHARE, np.where(np.isfinite(stated), nu / 2.0, 0.0)) * band, _EXACT),
-        load_friction=np.full(len(nu), LOAD_FRICTION),
-        load_friction_std=np.full(len(nu), LOAD_FRICTION_STD),
-    )
+    return np.where(seen, middle, 0.0), np.sqrt(gain_std**2 + middle**2 + (UNEVEN_LOSS * nu) ** 2)
+
+
+def bias_std_nm(band_nm: Floats, lost: Floats) -> Floats:
+    """Return the prior standard deviation (N,) of the bias by direction from friction bands and losses (N,)."""
+    return np.maximum(np.hypot(BIAS_SHARE, lost / 2.0) * np.abs(band_nm), _EXACT)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -22,17 +21,9 @@ _SETTLED: Final = 0.02
 _RANK: Final = 1e-7
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobustFit:
-    """Residual (r,) of a robust regression, and robust standard deviation (g,) of each group from its inner half."""
-
-    residual: Floats
-    scale: Floats
-
-
 def robust_fit(
     design: Floats, target: Floats, group: Ints, least: Floats, sound: Mask, prior_std: Floats | None = None
-) -> RobustFit:
+) -> tuple[Floats, Floats]:
     """Robust regression: least absolute values, then Tukey's biweight with the scatter of each group.
 
     Parameters
@@ -48,6 +39,10 @@ def robust_fit(
         Rows that take part; residuals are given for all.
     prior_std : array of shape (p,), optional
         Standard deviation of parameters of mean 0.
+
+    Returns
+    -------
+    residual (r,), and robust standard deviation (g,) of each group from its inner half
     """
     basis, held = _basis(design, prior_std)
     weight = 1.0 / least[group]
@@ -65,7 +60,7 @@ def robust_fit(
                 weight = 1.0 / (scale[group] * np.sqrt(np.maximum(ratio, 0.1)))
             if (np.abs(residual - moved) <= _SETTLED * scale[group]).all():
                 break
-    return RobustFit(residual, scale)
+    return residual, scale
 
 
 def _basis(design: Floats, prior_std: Floats | None) -> tuple[Floats, Floats]:

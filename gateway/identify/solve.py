@@ -389,21 +389,17 @@ def reduce(design: ByGroup, target: Floats, weight: Floats, known: Floats, toler
     triangle = np.zeros((p + 1, p + 1))
     small = np.asarray(np.linalg.qr(tall, mode="r"))
     triangle[: len(small)] = small
-    left, size, turned = _singular_values(triangle[:p, :p])
+    # Full SVD; divide and conquer fails on rare finite matrices, the slower iteration does not
+    factor = triangle[:p, :p]
+    try:
+        left, size, turned = np.linalg.svd(factor)
+    except np.linalg.LinAlgError:
+        left, size, turned = scipy.linalg.svd(factor, lapack_driver="gesvd")
     keep = size > tolerance * size.max(initial=0.0)
     inverse = turned[keep].T / size[keep] / scale[:, None]
     null = turned[~keep].T / scale[:, None]
     basis = Basis(design, weight, inverse)
     return Reduced(triangle[:, :p], triangle[:, p], scale, size[keep], left[:, keep], inverse, null, basis)
-
-
-def _singular_values(factor: Floats) -> tuple[Floats, Floats, Floats]:
-    """Full SVD; divide and conquer fails on rare finite matrices, the slower iteration does not."""
-    try:
-        left, size, turned = np.linalg.svd(factor)
-    except np.linalg.LinAlgError:
-        left, size, turned = scipy.linalg.svd(factor, lapack_driver="gesvd")
-    return left, size, turned
 
 
 class WithNull(Protocol):

@@ -1,4 +1,4 @@
-"""What the commands that move arms do, without the command line."""
+"""What the commands that move arms do, as functions of a Python program: without the command line."""
 
 from __future__ import annotations
 

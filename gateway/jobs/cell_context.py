@@ -13,6 +13,7 @@ from typing import Final
 
 from drives import bringup
 from drives.bus import Bus, BusSpec, open_bus
+from drives.bus_lock import bus_locked
 from drives.group import GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.nodes import Nodes
@@ -28,8 +29,8 @@ from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
 from gateway.pair.gap import instruments_on
 from gateway.preflight.drive_check import check_arm, judge_bus_load
-from gateway.preflight.limits import MOVE_HOME
 from gateway.preflight.machine import judge_surroundings
+from gateway.preflight.rules import MOVE_HOME
 from gateway.result.result import Finding
 
 #: SYNC period of excitation trajectories, unless that of the cell is shorter [s].
@@ -128,7 +129,12 @@ class CellContext:
 
     def stop_proof(self, arm: ArmConfig) -> Path:
         """Return the path of the proof that the drives of an arm stop on loss of the master, at this SYNC period."""
-        return self._state(arm, "-stop" + (f"-{1e6 * self.sync_period_s:.0f}us" if self.sync_period_s else ""))
+        kind = "-stop" + (f"-{1e6 * self.sync_period_s:.0f}us" if self.sync_period_s else "")
+        key = f"{self.path.resolve()}|{arm.name}|{self.bus_spec(arm)}"
+        name = f"{self.loaded.cell.name}-{arm.name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}{kind}.json"
+        folder = _state_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder / "".join(part if part.isalnum() or part in "-_." else "_" for part in name)
 
     def for_motion(self, arm: ArmConfig, rate_hz: float | None) -> CellContext:
         """Return the same cell with the SYNC period for excitation trajectories.
@@ -166,13 +172,6 @@ class CellContext:
             return self
         why = f"profile {untold[0]} does not let 0x60C2 be written" if untold else f"bus: {load.what}"
         raise PlanRefused(f"arm '{arm.name}': {rate_hz:g} SYNCs per second: {why}; lower --rate, or omit it")
-
-    def _state(self, arm: ArmConfig, kind: str) -> Path:
-        key = f"{self.path.resolve()}|{arm.name}|{self.bus_spec(arm)}"
-        name = f"{self.loaded.cell.name}-{arm.name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}{kind}.json"
-        folder = _state_folder()
-        folder.mkdir(parents=True, exist_ok=True)
-        return folder / "".join(part if part.isalnum() or part in "-_." else "_" for part in name)
 
     @contextmanager
     def last_seconds(self, options: MoveOptions, *opened: OpenArm) -> Generator[None]:
@@ -264,6 +263,20 @@ def open_cell(
     """
     loaded = with_pacing(load_cell(path), pacing)
     return CellContext(loaded, path, bus_specs(loaded.cell, bus_spec), lock, typed_options(bus_spec, pacing))
+
+
+@contextmanager
+def locked_cell(path: Path, bus: str | None = None, pacing: str | None = None) -> Generator[CellContext]:
+    """Read a cell file for a Python program; each bus that it uses is locked until the block ends. As `open_cell`."""
+    with ExitStack() as stack:
+        locked = set[str]()
+
+        def lock(spec: BusSpec) -> None:
+            if spec.wire not in locked:
+                stack.enter_context(bus_locked(spec, "a Python program"))
+                locked.add(spec.wire)
+
+        yield open_cell(path, bus, lock, pacing)
 
 
 def typed_options(bus_spec: str | None, pacing: str | None) -> tuple[str, ...]:

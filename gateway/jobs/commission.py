@@ -10,30 +10,31 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
-from gateway.acquire.goto import LOADING, Destination, destination, plan_transfer
+from gateway.acquire.goto import LOADING, destination, plan_transfer
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.planning import make_plan, postures_to_ask
 from gateway.acquire.session import RecordRequest
 from gateway.acquire.thermal import Block, blocks_of, bracket_of, warm_up
-from gateway.acquire.until import LoadSearch, NextStep, decide, search_of
+from gateway.acquire.until import decide, record_until, search_of
 from gateway.acquire.until_goal import Goal, end_of
 from gateway.cell.config import ArmConfig
 from gateway.data.recording.reader import read
-from gateway.data.recording.recorded import ArmRecording, Recording
-from gateway.data.rest_pose import RestPose
+from gateway.data.recording.recorded import ArmRecording
 from gateway.data.table import Table
-from gateway.diagnose.loop import close_loop
+from gateway.data.visit import RestPose
+from gateway.diagnose import close_loop
 from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
 from gateway.identify.drift import drift_findings, drift_of
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.jobs import SLOW_PERCENT
 from gateway.jobs.cell_context import CellContext
-from gateway.jobs.frame import ask_to_move, begin_motion, flange_question
+from gateway.jobs.frame import Operator, ask_to_move, begin_motion, flange_question
+from gateway.jobs.measure import announce, measure_plan, transfer
 from gateway.model.arm_model import arm_robot
 from gateway.model.visits import pair_visits
 from gateway.motion.opening import OpenArm
@@ -65,54 +66,6 @@ def keep_earlier(path: Path, say: Callable[[str], None]) -> None:
     say(f"{path} renamed to {kept}")
 
 
-class Dialogue(Protocol):
-    """Dialogue with the operator."""
-
-    def checked(self, items: Sequence[Finding]) -> None:
-        """Report the result of the pre-flight check."""
-        ...
-
-    def planned(self, plan: Plan) -> None:
-        """Show the chosen poses."""
-        ...
-
-    def ask(self, question: str, meanwhile: Callable[[], None]) -> None:
-        """Ask for permission to move, as `gateway.jobs.frame.Ask`."""
-        ...
-
-    def announced(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-        """Announce a posture to move to."""
-        ...
-
-    def bring(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-        """Move to an announced posture."""
-        ...
-
-    def mount(self, label: str, opened: OpenArm) -> None:
-        """Ask the operator to mount a load, or (`none`) to clear the flange; return after confirmation.
-
-        Raises
-        ------
-        DriveError
-            The arm is not safe to approach, or something has changed while the operator was asked.
-        """
-        ...
-
-    def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
-        """Record and show the progress."""
-        ...
-
-    def measure_until(
-        self, opened: OpenArm, search: LoadSearch, earlier: Recording | None, path: Path, options: MoveOptions
-    ) -> NextStep:
-        """Record pose by pose until the load is known as required; show the progress and return the last decision."""
-        ...
-
-    def say(self, text: str) -> None:
-        """Print a note."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Job:
     """A commissioning job.
@@ -139,6 +92,8 @@ class Job:
         mounted at the start.
     outdated : tuple of Path
         Files of an earlier job that this one would replace: renamed once a person has agreed that the arm moves.
+    refuse : callable
+        Raises if the plan is of no use; called before the drives are opened.
     """
 
     context: CellContext
@@ -152,6 +107,7 @@ class Job:
     is_bracketed: bool = False
     repetition: int = 1
     outdated: tuple[Path, ...] = ()
+    refuse: Callable[[Plan], None] = lambda _plan: None
 
     def blocks(self, poses: Sequence[RestPose]) -> tuple[Block, ...]:
         """Return the labels in the order of measurement."""
@@ -174,13 +130,13 @@ class Job:
         return self.context.loaded.cell.poses.seed + self.repetition - 1
 
 
-def commission(job: Job, dialogue: Dialogue) -> Result:
-    """Run the whole job.
+def commission(job: Job, operator: Operator) -> Result:
+    """Check, measure the unloaded arm and each load, diagnose, measure further and validation poses.
 
     Parameters
     ----------
     job : Job
-    dialogue : Dialogue
+    operator : Operator
 
     Returns
     -------
@@ -194,10 +150,10 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     PlanRefused, DriveError, DataUnusable, InputError, KeyboardInterrupt
         As the steps; the arm is at rest and measured data is kept.
     """
-    with _measuring(job, dialogue) as robot:
+    with _measuring(job, operator) as robot:
         about, table = robot.data()
         seen, _ = split_validation(table)
-        dialogue.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
+        operator.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
         result, _ = close_loop(
             seen,
             about.model,
@@ -217,30 +173,31 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     return finalize(replace(result, data_roles=roles), about, table, [job.recording], job.operator)
 
 
-def measure(job: Job, dialogue: Dialogue) -> None:
+def measure(job: Job, operator: Operator) -> None:
     """Check the arm, ask for permission, and record all loads of a job; parameters and errors as `commission`."""
-    with _measuring(job, dialogue):
+    with _measuring(job, operator):
         pass
 
 
 @contextmanager
-def _measuring(job: Job, dialogue: Dialogue) -> Generator[_Robot]:
+def _measuring(job: Job, operator: Operator) -> Generator[_Robot]:
     """Yield the open arm after all loads of a job are recorded."""
     items = job.context.check(job.arm)
-    dialogue.checked(items)
+    operator.checked(items)
     require_passed(items, "check failed, the arm is not moved")
     if (
         job.arm.loading_rad is not None
     ):  # refuse an unreachable posture before the measurement (up to an hour), not after it
         destination(job.arm, workspace_of(job.arm, arm_robot(job.context.loaded, job.arm)), LOADING)
     plan = make_plan(job.context.loaded, seed=job.pose_seed, arm=job.arm.name)
-    dialogue.planned(plan)
+    job.refuse(plan)
+    operator.planned(job.arm.name, plan)
     also = flange_question(BARE_LABEL if job.begins_bare else None)
     with job.context.opened(job.arm) as opened:
-        options = begin_motion(job.context, (opened,), job.options, dialogue.ask, dialogue.say, also=also)
+        options = begin_motion(job.context, (opened,), job.options, operator.ask, operator.say, also=also)
         for path in job.outdated:
-            keep_earlier(path, dialogue.say)
-        robot = _Robot(replace(job, options=options), dialogue, opened, plan)
+            keep_earlier(path, operator.say)
+        robot = _Robot(replace(job, options=options), operator, opened, plan)
         robot.warm_up()
         for block in job.blocks(robot.fit_poses):
             robot.measure_load(block)
@@ -250,8 +207,8 @@ def _measuring(job: Job, dialogue: Dialogue) -> Generator[_Robot]:
 class _Robot:
     """An open arm with its recording during a job."""
 
-    def __init__(self, job: Job, dialogue: Dialogue, opened: OpenArm, plan: Plan) -> None:
-        self._job, self._dialogue, self._opened = job, dialogue, opened
+    def __init__(self, job: Job, operator: Operator, opened: OpenArm, plan: Plan) -> None:
+        self._job, self._operator, self._opened = job, operator, opened
         self._load = BARE_LABEL
         self._mounted = BARE_LABEL if job.begins_bare else None
         self.fit_poses = [pose for pose in plan.poses if pose.purpose == "fit"]
@@ -272,7 +229,7 @@ class _Robot:
         job = self._job
         if job.warm_up_s and self._stored() is None:
             path = job.recording.with_name(WARM_UP)
-            self._dialogue.say(warm_up(self.fit_poses, path, job.warm_up_s, self._record))
+            self._operator.say(warm_up(self.fit_poses, path, job.warm_up_s, self._record))
 
     def measure_load(self, block: Block) -> None:
         """Have a load mounted and measure its poses; if all are measured, only the last load is requested."""
@@ -283,7 +240,7 @@ class _Robot:
         missing = self._missing(block.poses)
         if label != self._mounted and (missing or block == self._last):
             self._go_loading()
-            self._dialogue.mount(label, self._opened)
+            self._operator.mount(label, self._opened)
             self._mounted = label
         if missing:
             self._record(block.poses)
@@ -291,18 +248,20 @@ class _Robot:
     def _measure_until(self, label: str, goal: Goal) -> None:
         """Have a load mounted and measure until it is known; a known one is only requested if it is the last."""
         opened, job = self._opened, self._job
-        path, cell = job.recording, job.context.path
+        path, model = job.recording, ModelRequest(cell=job.context.path, arm=job.arm.name)
         search, earlier = search_of(
-            opened.loaded, opened.workspace, opened.config, label, goal, path, cell, self.validation_rad
+            opened.loaded, opened.workspace, opened.config, label, goal, path, model, self.validation_rad
         )
         missing = decide(search, None, opened.arm.where()).plan is not None
         if missing or label == job.labels[-1]:
             self._go_loading()
-            self._dialogue.mount(label, self._opened)
+            self._operator.mount(label, self._opened)
             self._mounted = label
         if not missing:
             return
-        decision = self._dialogue.measure_until(opened, search, earlier, job.recording, self._job.options)
+        with self._operator.progress(1.0, f"load {label}") as listener:
+            summary, decision = record_until(opened, search, job.recording, earlier, (listener,), self._job.options)
+        self._operator.say(summary.reason)
         self._job = replace(self._job, options=replace(self._job.options, first_done=None))
         self._next = max(self._next, 1 + max(pose.number for pose in self._known_poses()))
         self.ends.append(end_of(decision.stock, decision.verdict, label))
@@ -323,25 +282,24 @@ class _Robot:
         try:
             plan = plan_transfer(opened, target)
         except PlanRefused as refused:
-            self._dialogue.say(f"the arm stays at its current posture, mount the load there: {refused}")
+            self._operator.say(f"the arm stays at its current posture, mount the load there: {refused}")
             return
         slow = replace(job.options, override=min(job.options.override, SLOW_PERCENT / 100.0))
-        self._dialogue.announced(opened, target, plan, slow)
-        ask_to_move(job.context, (opened,), self._dialogue.ask, f"will move to {target}")
-        with job.context.last_seconds(slow, opened):
-            self._dialogue.bring(opened, target, plan, slow)
+        announce(opened, target, plan, self._operator, slow)
+        ask_to_move(job.context, (opened,), self._operator.ask, f"will move to {target}")
+        transfer(job.context, opened, target, plan, self._operator, slow)
         self._job = replace(job, options=replace(job.options, first_done=None))
 
     def measure_poses(self, q_rad: np.ndarray) -> Table:
         """Measure poses (k, N) [rad] under the mounted load: validation poses, or further poses for the fit."""
         if np.array_equal(q_rad, self.validation_rad):
             poses = self._validation
-            self._dialogue.say(f"validation on {len(poses)} poses that were not used in the fit")
+            self._operator.say(f"validation on {len(poses)} poses that were not used in the fit")
         else:
             numbers = range(self._next, self._next + len(q_rad))
             poses = [RestPose(number, tuple(q), "fit") for number, q in zip(numbers, q_rad.tolist(), strict=True)]
             self._next += len(poses)
-            self._dialogue.say(f"measuring {len(poses)} further poses that separate the candidate causes")
+            self._operator.say(f"measuring {len(poses)} further poses that separate the candidate causes")
         if self._missing(poses):
             self._record(poses)
         table = self.data()[1]
@@ -377,5 +335,5 @@ class _Robot:
             )
         check_plan(plan, opened.workspace)
         request = RecordRequest(self._load, path or self._job.recording, resume=True)
-        self._dialogue.measure(opened, plan, request, self._job.options)
+        measure_plan(opened, plan, request, self._operator, self._job.options)
         self._job = replace(self._job, options=replace(self._job.options, first_done=None))

@@ -7,16 +7,27 @@ and the first motion with these drives is slow.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Final, Literal
+from collections.abc import Callable, Generator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, Literal
 
+from gateway.acquire.events import Listener
 from gateway.check.proofs import first_motion_pending, note_motion, prove_now, proven_on, require_proven
 from gateway.data.labels import BARE_LABEL
+from gateway.errors import InputError
 from gateway.jobs.cell_context import CellContext
 from gateway.motion.holdtorun import with_held_input
 from gateway.motion.opening import OpenArm, frame_log_watched
+from gateway.motion.stops import StopDesk, StopSource, signals_ask
 from gateway.motion.stream import FIRST_SHARE, MoveOptions
+from gateway.motion.workspace import inside_from
+from gateway.result.finding import Finding
+
+if TYPE_CHECKING:
+    from gateway.acquire.passes import Pass
+    from gateway.acquire.plan import Plan
+    from gateway.acquire.until import LoadSearch
 
 #: What the question before motion says of the proof of the stop, where it will be made.
 FIRST_PROOF: Final = " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
@@ -30,9 +41,69 @@ FIRST_MOTION: Final = (
     " These drives move for the first time, so that this command moves them at {share:.0%} of the speed (not so after"
     " `check --move` with open grippers)."
 )
+#: What the question adds before a test that lets drives and brakes stop the arm.
+AT_HAND: Final = " Keep the emergency stop within reach."
 #: Asks a person whether arms may move, and raises where the answer is no. The second argument is called again and again
 #: until the answer is given, and raises what has changed.
 Ask = Callable[[str, Callable[[], None]], None]
+
+
+def _mount_nothing(label: str, _opened: OpenArm) -> None:
+    raise InputError(f"load '{label}' has to be mounted, and no operator was given who mounts it: Operator(mount=..)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Operator:
+    """The person at the arm, as functions: what a job asks this person, and what it shows.
+
+    Attributes
+    ----------
+    ask : callable
+        Called with a question about motion, and a function that reads the drives and raises what has changed; it may be
+        called until the answer is given. Returns where the answer is yes, and raises where it is no.
+    mount : callable
+        Called with the label of a load (`none`: an empty flange) and the open arm; returns once the load is mounted.
+    support : callable
+        Asks for an arm to be supported that is held under power, and does not block. Returns a function that says
+        whether the answer was given, or None where no answer can come.
+    say : callable
+        Shows a remark.
+    planned : callable
+        Called with the name of an arm, and what it will be measured by: rest poses, a search, or excitations.
+    checked : callable
+        Shows the findings of a check.
+    progress : callable
+        Called with the planned duration [s] and the name of a motion; yields the listener of its events.
+    working : callable
+        Called with the name of a computation; open until that is done.
+    """
+
+    ask: Ask
+    mount: Callable[[str, OpenArm], None] = _mount_nothing
+    support: Callable[[str], Callable[[], bool] | None] = lambda _text: None
+    say: Callable[[str], None] = lambda _text: None
+    planned: Callable[[str, Plan | LoadSearch | Sequence[Pass]], None] = lambda _arm, _plan: None
+    checked: Callable[[Sequence[Finding]], None] = lambda _findings: None
+    progress: Callable[[float, str], AbstractContextManager[Listener]] = lambda _s, _name: nullcontext(
+        lambda _event: None
+    )
+    working: Callable[[str], AbstractContextManager[None]] = lambda _name: nullcontext()
+
+
+@contextmanager
+def stoppable(override: float = 1.0, *sources: StopSource) -> Generator[MoveOptions]:
+    """Yield the options of motions; meanwhile signals stop a motion along its path, and end the job without one.
+
+    Parameters
+    ----------
+    override : float
+        Speed override in (0, 1].
+    *sources : callable
+        Further sources of stop requests.
+    """
+    desk = StopDesk(*sources)
+    with signals_ask(desk):
+        yield MoveOptions(desk, override)
 
 
 def flange_question(load: str | None) -> str:
@@ -41,7 +112,7 @@ def flange_question(load: str | None) -> str:
 
 
 def ask_to_move(context: CellContext, opened: Sequence[OpenArm], ask: Ask, what: str, also: str = "") -> None:
-    """Ask whether arms may move, after every drive was read; the drives are read further until the answer.
+    """Ask whether arms may move, after all was read that power needs; the drives are read further until the answer.
 
     Parameters
     ----------
@@ -56,10 +127,13 @@ def ask_to_move(context: CellContext, opened: Sequence[OpenArm], ask: Ask, what:
     Raises
     ------
     DriveError, SeveralFailures
-        An arm is not safe to approach.
+        An arm cannot be enabled, or is not safe to approach; no question was asked.
+    PlanRefused
+        An arm is in a posture from which it may not move; no question was asked.
     """
     for each in opened:
-        each.group.gate(full=True).require_approach()
+        each.group.gate(full=True).require_power()
+        inside_from(each.workspace, each.arm.where(), each.config.name)
 
     def attend() -> None:
         for each in opened:
@@ -69,9 +143,8 @@ def ask_to_move(context: CellContext, opened: Sequence[OpenArm], ask: Ask, what:
     arms = f"Arm {names}" if len(opened) == 1 else f"Arms {names}"
     # one arm of a pair moves alone only where no part holds it
     grippers = " Are both grippers open?" if len(opened) == 1 and context.loaded.cell.pair is not None else ""
-    where = f"of cell '{context.loaded.cell.name}'"
     try:
-        ask(f"{arms} {where} {what}.{also}{grippers} Is the area clear of people?", attend)
+        ask(f"{arms} of cell '{context.loaded.cell.name}' {what}.{also}{grippers} Is the area clear of people?", attend)
     except BaseException as error:
         error.add_note(NOT_STARTED)
         raise

@@ -44,11 +44,10 @@ from gateway.model.arm_model import arm_named
 from gateway.model.effects import MISTAKES
 from gateway.motion.assumed import reference_load
 from gateway.motion.workspace import workspace_of
-from gateway.pipeline.calibrate import calibrate
+from gateway.pipeline.calibrate import Weight, calibrate
 from gateway.pipeline.calibrated import Calibrated
-from gateway.pipeline.calibration_checks import Weight
 from gateway.pipeline.inputs import AnalysisInputs, ModelRequest, collect_inputs, read_rows
-from gateway.result.interval import TWO_SIDED_95
+from gateway.result.numerals import TWO_SIDED_95
 from gateway.result.result import LoadResult
 from gateway.result.values import json_object, text_of
 

@@ -47,7 +47,17 @@ def shown_body(link: int, solid: Solid) -> ShownBody:
     except (QhullError, ValueError):  # flat: the capsule around it is drawn
         points = _capsule_points(solid)
         hull = ConvexHull(points)
-    return ShownBody(link, points, _faces(hull))
+    planes: list[tuple[Floats, set[int]]] = []
+    for equation, corners in zip(hull.equations, hull.simplices, strict=True):
+        for known, together in planes:
+            if float(np.abs(known - equation).max()) < FLAT:
+                together.update(corners.tolist())
+                break
+        else:
+            planes.append((equation, set(corners.tolist())))
+    return ShownBody(
+        link, points, tuple(_around(hull.points, equation[:3], sorted(corners)) for equation, corners in planes)
+    )
 
 
 def _outermost(points_m: Floats) -> Floats:
@@ -80,19 +90,6 @@ def _capsule_points(solid: Solid) -> Floats:
             ball = np.cos(tilt) * circle + sign * np.sin(tilt) * along
             points.append(end + around.radius_m * ball)
     return np.vstack(points)
-
-
-def _faces(hull: ConvexHull) -> tuple[tuple[int, ...], ...]:
-    """Return the faces of a hull, coplanar triangles merged to one polygon, counter-clockwise seen from outside."""
-    planes: list[tuple[Floats, set[int]]] = []
-    for equation, corners in zip(hull.equations, hull.simplices, strict=True):
-        for known, together in planes:
-            if float(np.abs(known - equation).max()) < FLAT:
-                together.update(corners.tolist())
-                break
-        else:
-            planes.append((equation, set(corners.tolist())))
-    return tuple(_around(hull.points, equation[:3], sorted(corners)) for equation, corners in planes)
 
 
 def _around(points: Floats, normal: Floats, corners: list[int]) -> tuple[int, ...]:

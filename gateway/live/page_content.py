@@ -1,4 +1,4 @@
-"""Content of the page: samples and events of the motion loop as JSON for the browser."""
+"""Content of the page: samples and events of the motion loop as JSON for the browser, events with severity and text."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drives.cia402 import State, decode_state, describe
-from gateway.acquire.events import Progress
-from gateway.data.sample import following_error_rad
-from gateway.live.event_text import FAIL, saying
+from gateway.acquire.events import Narrowed, PeriodDone, PoseDone, Progress, SampleRepeated, Started, VisitDone
+from gateway.data.visit import following_error_rad
 from gateway.live.feed import PHASES
-from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen, ShownArm, ShownCell
+from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Heard, Hello, PoseSeen, ShownArm, ShownCell
 from gateway.model.kinematics import link_frames
 from gateway.model.robot import reach_m
 from gateway.motion.observer import MotionProgress
@@ -52,22 +51,19 @@ class _ArmPast:
     def take(self, time_s: float, row: Floats) -> None:
         """Store a sample of shape (PER_AXIS, N)."""
         q_rad, followed_rad, torque_nm, modelled_nm, self.status = row
-        speed = self._speed(time_s, q_rad)
-        values = np.concatenate(
-            [[time_s], q_rad, speed, following_error_rad(followed_rad, q_rad), torque_nm, modelled_nm]
-        )
-        self.fresh.append(_plain(values))
-        if not np.isnan(q_rad).any():
-            self.q_rad = q_rad
-
-    def _speed(self, time_s: float, q_rad: Floats) -> Floats:
         if self.where and time_s <= self.where[-1][0]:
             self.where.clear()
         while len(self.where) > 1 and self.where[1][0] <= time_s - SPEED_SPAN_S:
             self.where.popleft()
         first = self.where[0] if self.where else None
         self.where.append((time_s, q_rad))
-        return np.full_like(q_rad, np.nan) if first is None else (q_rad - first[1]) / (time_s - first[0])
+        speed = np.full_like(q_rad, np.nan) if first is None else (q_rad - first[1]) / (time_s - first[0])
+        values = np.concatenate(
+            [[time_s], q_rad, speed, following_error_rad(followed_rad, q_rad), torque_nm, modelled_nm]
+        )
+        self.fresh.append(_plain(values))
+        if not np.isnan(q_rad).any():
+            self.q_rad = q_rad
 
     def frame(self) -> Json:
         """Return new samples and the posture of the arm."""
@@ -131,9 +127,46 @@ class Show:
         if isinstance(message, np.ndarray):
             self._row(message)
         elif isinstance(message, ShownCell):
-            self._show(message)
+            self._arms = [_ArmPast(arm) for arm in message.arms]
+            self._scene = {
+                "arms": [
+                    {
+                        "name": arm.name,
+                        "axes": arm.axes,
+                        "reach_m": round(reach_m(arm.robot), 3),
+                        "modelled": arm.modelled,
+                        "assumed": list(arm.assumed),
+                        "bodies": [
+                            {
+                                "link": body.link,
+                                "points": np.round(body.points_m, 4).tolist(),
+                                "faces": [list(f) for f in body.faces],
+                            }
+                            for body in arm.bodies
+                        ],
+                        "boxes": np.round(arm.boxes_m, 4).tolist(),
+                        "speed_rad_s": _plain(arm.speed_rad_s),
+                        "torque_nm": _plain(arm.torque_nm),
+                        "following_error_rad": _plain(arm.following_error_rad),
+                    }
+                    for arm in message.arms
+                ],
+                "past_s": PAST_S,
+            }
+            self._new.append({"scene": self._scene})
         elif isinstance(message, PoseSeen):
-            self._pose(message)
+            done = message.done
+            modelled = self._arms[0].arm.modelled if self._arms else False
+            residual_nm = np.array(done.gravity_nm) - message.modelled_nm if modelled else None
+            pose = {
+                "pose": done.pose,
+                "load": notation.load(done.load),
+                "band_nm": _plain(np.array(done.friction_band_nm)),
+                "residual_nm": None if residual_nm is None else _plain(residual_nm),
+            }
+            self._poses.append(pose)
+            self._new.append({"pose": pose})
+            self._happened(done)
         elif isinstance(message, Happened):
             self._happened(message.event)
         elif isinstance(message, Ended):
@@ -172,11 +205,6 @@ class Show:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _show(self, cell: ShownCell) -> None:
-        self._arms = [_ArmPast(arm) for arm in cell.arms]
-        self._scene = {"arms": [_arm(arm) for arm in cell.arms], "past_s": PAST_S}
-        self._new.append({"scene": self._scene})
-
     def _row(self, row: Floats) -> None:
         sent_s, sync, time_s, phase, unanswered = row[:HEAD].tolist()
         at = HEAD
@@ -203,40 +231,42 @@ class Show:
         elif (said := saying(event)) is not None:
             self._say(*said)
 
-    def _pose(self, seen: PoseSeen) -> None:
-        done = seen.done
-        modelled = self._arms[0].arm.modelled if self._arms else False
-        residual_nm = np.array(done.gravity_nm) - seen.modelled_nm if modelled else None
-        pose = {
-            "pose": done.pose,
-            "load": notation.load(done.load),
-            "band_nm": _plain(np.array(done.friction_band_nm)),
-            "residual_nm": None if residual_nm is None else _plain(residual_nm),
-        }
-        self._poses.append(pose)
-        self._new.append({"pose": pose})
-        self._happened(done)
-
     def _say(self, grave: str, text: str) -> None:
         event = {"at": f"{datetime.now(UTC):%H:%M:%S}", "grave": grave, "text": text}
         self._events.append(event)
         self._new.append({"event": event})
 
 
-def _arm(arm: ShownArm) -> Json:
-    """Return the constant data of an arm for the page."""
-    return {
-        "name": arm.name,
-        "axes": arm.axes,
-        "reach_m": round(reach_m(arm.robot), 3),
-        "modelled": arm.modelled,
-        "assumed": list(arm.assumed),
-        "bodies": [
-            {"link": body.link, "points": np.round(body.points_m, 4).tolist(), "faces": [list(f) for f in body.faces]}
-            for body in arm.bodies
-        ],
-        "boxes": np.round(arm.boxes_m, 4).tolist(),
-        "speed_rad_s": _plain(arm.speed_rad_s),
-        "torque_nm": _plain(arm.torque_nm),
-        "following_error_rad": _plain(arm.following_error_rad),
-    }
+#: Severity of a line: information, warning, reason of a stop.
+PLAIN, WARN, FAIL = "plain", "warn", "fail"
+
+
+def saying(event: object) -> tuple[str, str] | None:
+    """Return severity and text of an event.
+
+    None for events that the page shows elsewhere, such as the reason of a stop.
+    """
+    if isinstance(event, Started):
+        return (
+            PLAIN,
+            f"{notation.load(event.load)}: {event.visits} to be measured"
+            if event.visits
+            else "during the transfer motion",
+        )
+    if isinstance(event, SampleRepeated):
+        axes = ", ".join(notation.axis(axis) for axis in event.axes)
+        return WARN, f"SYNC {event.sync_index} not answered by {axes}; sample repeated"
+    if isinstance(event, VisitDone):
+        side = "from below" if event.direction > 0 else "from above"
+        return PLAIN, f"pose {event.pose} measured {side}"
+    if isinstance(event, PoseDone):
+        return PLAIN, f"pose {event.pose} measured from both directions"
+    if isinstance(event, PeriodDone):
+        lost = event.incomplete_epochs
+        what = f"'{event.name}', period {event.period}"
+        return (WARN, f"{what}: {lost} SYNCs not answered") if lost else (PLAIN, f"{what}: done")
+    if isinstance(event, Narrowed):
+        return PLAIN, f"{notation.load(event.load)}, {event.text}"
+    if isinstance(event, Heard):
+        return event.grave, event.text
+    return None

@@ -19,7 +19,7 @@ from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.recording.reader import read
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import ConfigError, InputError
 from gateway.live.drawing import shown_arm
 from gateway.live.feed import Feed
@@ -131,7 +131,9 @@ class Watching:
         """Read every bus briefly and forward the received frames."""
         received = [arm.listen() for arm in self._arms]
         for arm in self._arms:
-            self._tell_emergencies(arm)
+            while arm.overheard.emergencies:
+                emergency = arm.overheard.emergencies.popleft()
+                self._feed.reported(Heard("plain" if emergency.is_harmless else "fail", str(emergency)))
         if any(received):
             self._heard_s, self._silent = self._clock(), False
             self._hand_on()
@@ -157,11 +159,6 @@ class Watching:
                 break
         targets = tuple(arm.target_rad for arm in self._arms)
         self._feed.sampled(Observed(samples, targets, tuple(arm.modelled_nm() for arm in self._arms)))
-
-    def _tell_emergencies(self, arm: WatchedArm) -> None:
-        while arm.overheard.emergencies:
-            emergency = arm.overheard.emergencies.popleft()
-            self._feed.reported(Heard("plain" if emergency.is_harmless else "fail", str(emergency)))
 
 
 def stored_constants(path: Path, arm: ArmConfig) -> tuple[Constants, ...]:

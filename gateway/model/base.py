@@ -21,6 +21,7 @@ from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 
+#: A column counts as dependent if its component outside the others is shorter than this share of its length.
 TOLERANCE = 1e-6
 _NOTHING = 1e-13
 #: Relative difference in length from which a column is preferred to the next: above rounding, below TOLERANCE.
@@ -50,15 +51,13 @@ class BaseSet:
     rank: int
 
 
-def base_parameters(rows: Floats, names: Sequence[str], tolerance: float = TOLERANCE) -> BaseSet:
+def base_parameters(rows: Floats, names: Sequence[str]) -> BaseSet:
     """Return the base parameters of stacked rows.
 
     Parameters
     ----------
     rows : array of shape (n, p) or (n, N, p)
     names : p names of the columns
-    tolerance : float
-        A column counts as dependent if its component outside the others is shorter than this share of its length.
 
     Returns
     -------
@@ -76,7 +75,7 @@ def base_parameters(rows: Floats, names: Sequence[str], tolerance: float = TOLER
     factors: tuple[Any, ...] = qr(stacked[:, seen] / scale[seen], mode="r", pivoting=True)  # type: ignore[assignment]
     r, pivots = np.asarray(factors[0]), np.asarray(factors[1])
     diagonal = np.abs(np.diag(r))
-    rank = int((diagonal > tolerance * diagonal[0]).sum())
+    rank = int((diagonal > TOLERANCE * diagonal[0]).sum())
     independent = solve_triangular(r[:rank, :rank], r[:rank])
     combination = np.zeros((rank, len(names)))
     columns = seen[pivots]

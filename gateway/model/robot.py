@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.errors import ConfigError
 from gateway.model import urdf
-from gateway.model.urdf_elements import Pose
-from gateway.model.urdf_shapes import Shape
+from gateway.model.urdf_shapes import Pose, Shape
 
 Floats = NDArray[np.float64]
 SHORTEST_M = 0.1

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from gateway.errors import ConfigError
-from gateway.model.urdf_elements import Pose, Three, number, origin, three
-from gateway.model.urdf_shapes import Shape, Unknown, shapes_of
+from gateway.model.urdf_shapes import Pose, Shape, Three, Unknown, number, origin, shapes_of, three
 from gateway.model.urdf_text import parse_urdf
 
 TURNING = ("revolute", "continuous")

@@ -259,7 +259,23 @@ def pair_visits(table: Table, efficiency: ArrayLike | None = None, coupling: Arr
     torque = gears.behind(rest.tau_nm, facing)
     open_nm = gears.open_range(rest.tau_nm, facing)
     std = rest.tau_std_nm / np.sqrt(np.maximum(rest.count, 1))[:, None]
-    one, other = _pairs(rest)
+    # Rows of the first and second approach; the same row twice for a one-sided visit
+    by_pose: dict[tuple[str, str, int], list[int]] = {}
+    for row in range(len(rest)):
+        by_pose.setdefault((str(rest.run[row]), str(rest.load[row]), int(rest.pose[row])), []).append(row)
+    pairs: list[tuple[int, int]] = []
+    by_load: dict[tuple[str, str], list[int]] = {}
+    for (run, load, _), members in by_pose.items():
+        for rule in (_reversed, _partly_reversed):
+            found, members = _matched(rest, members, rule)
+            pairs += found
+        by_load.setdefault((run, load), []).extend(members)
+    for members in by_load.values():
+        found, alone = _matched(rest, members, _one_reversed)
+        pairs += found + [(row, row) for row in alone]
+    pairs.sort()
+    rows = np.array(pairs, dtype=int).reshape(-1, 2)
+    one, other = rows[:, 0], rows[:, 1]
     two = one != other
     half = np.where(two[:, None], np.hypot(std[one], std[other]) / 2.0, std[one])
     moved = two[:, None] & (facing[one] != 0) & (facing[one] == -facing[other])
@@ -284,26 +300,6 @@ def pair_visits(table: Table, efficiency: ArrayLike | None = None, coupling: Arr
         rows=np.stack([one, other], axis=1),
         gears=gears,
     )
-
-
-def _pairs(rest: Table) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Return the rows of the first and second approach; the same row twice for a one-sided visit."""
-    by_pose: dict[tuple[str, str, int], list[int]] = {}
-    for row in range(len(rest)):
-        by_pose.setdefault((str(rest.run[row]), str(rest.load[row]), int(rest.pose[row])), []).append(row)
-    pairs: list[tuple[int, int]] = []
-    by_load: dict[tuple[str, str], list[int]] = {}
-    for (run, load, _), members in by_pose.items():
-        for rule in (_reversed, _partly_reversed):
-            found, members = _matched(rest, members, rule)
-            pairs += found
-        by_load.setdefault((run, load), []).extend(members)
-    for members in by_load.values():
-        found, alone = _matched(rest, members, _one_reversed)
-        pairs += found + [(row, row) for row in alone]
-    pairs.sort()
-    rows = np.array(pairs, dtype=int).reshape(-1, 2)
-    return rows[:, 0], rows[:, 1]
 
 
 def _reversed(facing: Mask, others: Mask) -> Mask:

@@ -10,7 +10,7 @@ from drives.drive import DriveCommand
 from drives.epoch import Epoch
 from drives.group import DriveGroup
 from gateway.cell.conversion import AxisConversion
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.feedforward.identified import AxisConstants
 
 

@@ -24,7 +24,7 @@ from drives.drive import DriveCommand
 from drives.errors import DriveError, NotStoodDown, StopRequested
 from drives.exchange import Pacing
 from drives.gate import ArmState
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.motion.arm import Arm
 
 Result = TypeVar("Result")

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.cell.config import ArmConfig
-from gateway.model.capsule import Capsule
 from gateway.model.kinematics import link_frames
 from gateway.model.mesh import MeshError
 from gateway.model.robot import LinkShape, Robot, reach_m
-from gateway.model.solid import Solid, solid_box, solid_capsule, solid_of
+from gateway.model.solid import Capsule, Solid, solid_box, solid_capsule, solid_of
 
 Floats = NDArray[np.float64]
 

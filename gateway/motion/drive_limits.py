@@ -13,9 +13,8 @@ from drives.profile import DriveProfile
 from gateway.cell.config import ArmConfig
 from gateway.cell.conversion import AxisConversion
 from gateway.errors import ConfigError
-from gateway.feedforward.identified import AxisConstants, axis_constants
+from gateway.feedforward.identified import AxisConstants, axis_constants, drawn_parameters
 from gateway.feedforward.load import FeedLoad, assumed_load, rated_load
-from gateway.feedforward.parameters import drawn_parameters
 from gateway.model.regressor import regressor
 from gateway.motion.workspace import BAND_SHARE, Workspace
 from gateway.preflight.coasting import quick_stop_ramp
@@ -25,6 +24,7 @@ from gateway.preflight.rules import Readings, counts_per_revolution
 ROUNDING_RAD: Final = 1e-4
 
 Range = tuple[float, float]
+Floats = NDArray[np.float64]
 #: Reserve factor: Coriolis torques, model errors of some percent, a swinging load.
 RESERVE = 1.3
 #: Search for the worst posture: number of random postures, angles per joint, number of refinements,
@@ -47,18 +47,16 @@ def motor_ranges_rad(arm: ArmConfig) -> tuple[Range | None, ...]:
     return tuple(None if mixed else (float(low), float(high)) for mixed, low, high in zip(coupled, *ends, strict=True))
 
 
-def motor_torques_nm(axes: AxisConversion, joint_nm: np.ndarray | None) -> tuple[float | None, ...]:
-    """Return the motor torque [Nm] of each drive for joint torques (N,) [Nm] of either sign; None = not known.
+def motor_torques_nm(axes: AxisConversion, joint_nm: Floats) -> Floats:
+    """Return the motor torque (N,) [Nm] of each drive for joint torques (N,) [Nm] of either sign.
 
     Parameters
     ----------
     axes : AxisConversion
-    joint_nm : array of shape (N,) or None
+    joint_nm : array of shape (N,)
         Largest torque of each joint, gear losses included.
     """
-    if joint_nm is None:
-        return (None,) * len(axes.ratio)
-    return tuple((np.abs(np.linalg.inv(axes.coupling)).T @ joint_nm / np.abs(axes.ratio)).tolist())
+    return np.abs(np.linalg.inv(axes.coupling)).T @ joint_nm / np.abs(axes.ratio)
 
 
 def quick_stop_rad_s2(
@@ -81,9 +79,6 @@ def quick_stop_rad_s2(
             return None
         motor.append(raw * unit_rad_s2)
     return AxisConversion.from_arm(arm).joint_bound(np.array(motor))
-
-
-Floats = NDArray[np.float64]
 
 
 def needed_torque_nm(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drives.values import DriveReading
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.motion.arms import Arms
 from gateway.motion.state import StateTracker
 from gateway.motion.workspace import Workspace

@@ -24,10 +24,10 @@ from gateway.cell.conversion import AxisConversion
 from gateway.data.disk import Disk
 from gateway.data.recording.bus_log import FrameLog
 from gateway.errors import ConfigError
-from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
+from gateway.feedforward.identified import axis_constants, read_identified
 from gateway.model.arm_model import arm_named, robot_from_text, robot_place, robot_text
+from gateway.motion import drive_limits
 from gateway.motion.arm import Arm
-from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, needed_torque_nm, quick_stop_rad_s2
 from gateway.motion.stops import StopKind, StopRequest, StopSource
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.preflight.drive_check import look_over, require_passed
@@ -135,35 +135,19 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
             float(speed),
             position_limit_rad=limit,
         )
-        for axis, speed, limit in zip(config.axis, motor_rad_s, motor_ranges_rad(config), strict=True)
+        for axis, speed, limit in zip(config.axis, motor_rad_s, drive_limits.motor_ranges_rad(config), strict=True)
     )
 
 
-def _limit_torques(
-    group: DriveGroup,
-    config: ArmConfig,
-    workspace: Workspace,
-    readings: Sequence[Readings],
-    known: tuple[AxisConstants, ...],
-) -> None:
-    """Limit the torque of each drive to the largest that the arm can need, if links, load and ramps are known.
-
-    A motion may accelerate harder than the quick stop decelerates: the larger of both counts.
-    """
-    ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], readings)
-    hardest = None if ramp is None else np.maximum(ramp, workspace.acceleration_rad_s2)
-    needed_nm = None if hardest is None else needed_torque_nm(workspace, config, hardest, known)
-    limits = motor_torques_nm(AxisConversion.from_arm(config), needed_nm)
-    for drive, limit_nm in zip(group.drives, limits, strict=True):
-        drive.setup = replace(drive.setup, torque_limit_nm=limit_nm)
-
-
-def _refuse_obstacles(setups: Sequence[AxisSetup]) -> None:
-    """Refuse drives whose profile does not allow motion, before anything is sent.
+def _refuse_unprepared(setups: Sequence[AxisSetup], config: ArmConfig) -> None:
+    """Refuse an arm that may not move by its profiles or its cell file, before anything is sent.
 
     Raises
     ------
     ProfileError
+        The profile of a drive does not allow motion.
+    ConfigError
+        A torque limit, on which contact detection depends, is a placeholder.
     """
     joints: dict[DriveProfile, list[str]] = {}
     for joint, setup in enumerate(setups, start=1):
@@ -175,15 +159,6 @@ def _refuse_obstacles(setups: Sequence[AxisSetup]) -> None:
             for profile, axes in joints.items()
         )
         raise ProfileError(what, advice="`scan` and `check` read such drives; nothing was sent to them")
-
-
-def _refuse_placeholders(config: ArmConfig) -> None:
-    """Refuse placeholder torque limits, because contact detection depends on them.
-
-    Raises
-    ------
-    ConfigError
-    """
     found = [(joint, axis) for joint, axis in enumerate(config.axis, start=1) if axis.torque_limit_is_assumed]
     if found:
         axes = ", ".join(f"J{joint} {axis.torque_limit_nm:g} Nm" for joint, axis in found)
@@ -245,9 +220,8 @@ def open_arm(
     robot = robot_from_text(config, text, robot_place(loaded, config))
     workspace = workspace_of(config, robot)
     known = axis_constants(config, read_identified(loaded, config, robot))
-    setups = axis_setups(loaded, config)
-    _refuse_obstacles(setups)
-    _refuse_placeholders(config)
+    setups, axes = axis_setups(loaded, config), AxisConversion.from_arm(config)
+    _refuse_unprepared(setups, config)
     setups = tuple(replace(setup, offsets=offsets) for setup in setups)
     bus_config = loaded.cell.bus[config.bus]
     options = GroupOptions(ledger_path=ledger, instruments=instruments, allow_real_drive=bus_config.allow_real_drive)
@@ -260,7 +234,13 @@ def open_arm(
         identities = group.connect()
         refusing, readings = look_over(config, group)
         require_passed(refusing, "check failed, the arm is not moved")
-        _limit_torques(group, config, workspace, readings, known)
+        ramp = drive_limits.quick_stop_rad_s2(config, [setup.profile for setup in setups], readings)
+        if ramp is not None:  # motions may accelerate harder than a quick stop decelerates: the larger counts
+            hardest = np.maximum(ramp, workspace.acceleration_rad_s2)
+            if (needed_nm := drive_limits.needed_torque_nm(workspace, config, hardest, known)) is not None:
+                limits_nm = drive_limits.motor_torques_nm(axes, needed_nm).tolist()
+                for drive, limit_nm in zip(group.drives, limits_nm, strict=True):
+                    drive.setup = replace(drive.setup, torque_limit_nm=limit_nm)
         group.configure()
         opened = OpenArm(
             loaded=loaded,
@@ -269,7 +249,7 @@ def open_arm(
             workspace=workspace,
             profiles=tuple(setup.profile for setup in setups),
             group=group,
-            arm=Arm(config.name, group, AxisConversion.from_arm(config), known),
+            arm=Arm(config.name, group, axes, known),
             identities=identities,
             constants=tuple(drive.scale.constants for drive in group.drives),
             readings=readings,

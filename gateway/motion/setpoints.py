@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.motion.trajectory import Motion
 
 #: One array of shape (N,) per arm.

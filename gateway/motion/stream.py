@@ -15,7 +15,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from drives.realtime import leave_real_time
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.motion.arms import Arms
 from gateway.motion.observer import MotionProgress, Observed, Observers
 from gateway.motion.setpoints import MotionSetpoints, PathClock, PerArm, SetpointSource

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.cell.conversion import AxisConversion
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.identified import AxisConstants, Known

@@ -65,12 +65,16 @@ def short(value: Any) -> str:
     if isinstance(value, tuple) and value and all(part == value[0] for part in value):
         return toml_value(value[0])
     if isinstance(value, tuple):
-        return ", ".join(short(part) if isinstance(part, tuple) else _rounded(part) for part in value) or "none"
+        return (
+            ", ".join(
+                short(part)
+                if isinstance(part, tuple)
+                else (f"{part:.4g}" if isinstance(part, float) else toml_value(part))
+                for part in value
+            )
+            or "none"
+        )
     return "none" if value is None else toml_value(value)
-
-
-def _rounded(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else toml_value(value)
 
 
 def cell_text(draft: Draft, files: Callable[[str], str]) -> str:
@@ -82,25 +86,6 @@ def cell_text(draft: Draft, files: Callable[[str], str]) -> str:
     files : callable
         Path of a file -> its name from the folder of the cell.
     """
-    lines = [
-        f"# Cell of {draft.robot.name}, drafted by `servo-gateway cell new`. Values marked `assumed` are not",
-        "# confirmed and affect result and motion. `servo-gateway check` compares the file with the drives.",
-        f"name = {toml_value(draft.answers.value(questions.NAME))}",
-        "",
-        *_bus(draft),
-        "",
-        *_arm(draft, files),
-    ]
-    for axis in range(draft.robot.axes):
-        lines += ["", *_axis(draft, axis, files)]
-    poses = draft.answers.value(questions.POSES)
-    lines += ["", "[poses]", *(f"{key} = {toml_value(value)}" for key, value in poses.items())]
-    if not poses:
-        lines += ["# count, samples, speed: docs/reference/cell-file.md; missing keys have defaults"]
-    return "\n".join(lines) + "\n"
-
-
-def _bus(draft: Draft) -> list[str]:
     spec, answers = draft.bus, draft.answers
     lines = [
         f"[bus.{BUS}]",
@@ -112,7 +97,22 @@ def _bus(draft: Draft) -> list[str]:
     ]
     if spec.options:
         lines.append(f"options = {toml_value(dict(spec.options))}")
-    return lines
+    lines = [
+        f"# Cell of {draft.robot.name}, drafted by `servo-gateway cell new`. Values marked `assumed` are not",
+        "# confirmed and affect result and motion. `servo-gateway check` compares the file with the drives.",
+        f"name = {toml_value(draft.answers.value(questions.NAME))}",
+        "",
+        *lines,
+        "",
+        *_arm(draft, files),
+    ]
+    for axis in range(draft.robot.axes):
+        lines += ["", *_axis(draft, axis, files)]
+    poses = draft.answers.value(questions.POSES)
+    lines += ["", "[poses]", *(f"{key} = {toml_value(value)}" for key, value in poses.items())]
+    if not poses:
+        lines += ["# count, samples, speed: docs/reference/cell-file.md; missing keys have defaults"]
+    return "\n".join(lines) + "\n"
 
 
 def _arm(draft: Draft, files: Callable[[str], str]) -> list[str]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, cast
 
 from drives.toml_text import parse_toml
-from gateway.formats.units import factors
+from gateway.formats.log_map import factors
 
 #: Keys of a constant with its source in an answer file.
 VALUE, SOURCE = "value", "source"

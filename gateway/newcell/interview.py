@@ -97,33 +97,46 @@ def interview(answers: CellAnswers, eyes: Eyes, name: str, report: Callable[[str
     report(f"{robot.name}: {robot.axes} axes: {', '.join(robot.joint_names)}")
     for remark in (*robot.remarks, *placeholders(robot)):
         report(remark)
-    spec = _bus(answers)
+    answers.settle(
+        [
+            (questions.OFFLINE, Answer(False, "the bus is read")),
+            (questions.EDS, Answer((), "none given")),
+            (questions.BUS, Answer(DEFAULT_BUS, f"{ASSUMED}: first adapter")),
+            (questions.SYNC_PERIOD, Answer(0.01, "six drives at 1 Mbit/s")),
+            (questions.PACING, Answer("real", "real time")),
+            (questions.POSES, Answer({}, "as in the cell file")),
+        ]
+    )
+    spec = BusSpec.parse(answers.value(questions.BUS))
     looked = not answers.value(questions.OFFLINE)
     on_bus = eyes.nodes(spec) if looked else ()
     in_files = eyes.files([Path(path) for path in answers.value(questions.EDS)])
     for node in (*on_bus, *in_files):
         report(f"{node.name}: {_who(node)}")
-        for line in _not_used(node):
+        remarks = () if node.sheet is None else node.sheet.remarks
+        lines = [f"{node.name} {remark}" for remark in remarks[:REMARKS_SHOWN]]
+        more = len(remarks) - len(lines)
+        for line in [*lines, f"{node.name}: {more} more lines are not used as written"] if more else lines:
             report(line)
     axes, nodes = _drives(answers, robot, eyes if looked else None, (spec, on_bus, in_files))
     _gears(answers, axes)
     axes = Axes(axes.nodes, axes.profiles, answers.value(questions.GEAR_RATIO))
     _limits(answers, robot, axes)
+    reported = {profile.name: profile.obstacles for profile in axes.profiles}
+    # `check` refuses drives with an internal gear ratio
+    geared: list[str] = []
+    for each in nodes:
+        motor = None if each is None else each.read("gear_motor_revolutions")
+        shaft = None if each is None else each.read("gear_shaft_revolutions")
+        if each is not None and motor is not None and shaft is not None and motor.value != shaft.value:
+            geared.append(f"{each.name}: 0x6091 is {motor.value}:{shaft.value}; set it to 1:1, the cell has the ratio")
     remarks = (
         *_strangers(on_bus, in_files, answers.value(questions.NODES)),
-        *_own_gears(nodes),
-        *_obstacles(axes.profiles),
+        *geared,
+        *[f"profile {name} refuses motion: {obstacle}" for name, found in reported.items() for obstacle in found],
         *_contradicted(nodes, axes.profiles),
     )
     return Draft(answers, robot, urdf, spec, nodes, tuple(axes.profiles), remarks, looked)
-
-
-def _not_used(node: SeenNode) -> list[str]:
-    """Report data sheet lines that are not used, the first ten."""
-    remarks = () if node.sheet is None else node.sheet.remarks
-    lines = [f"{node.name} {remark}" for remark in remarks[:REMARKS_SHOWN]]
-    more = len(remarks) - len(lines)
-    return [*lines, f"{node.name}: {more} more lines are not used as written"] if more else lines
 
 
 def _who(node: SeenNode) -> str:
@@ -169,20 +182,6 @@ def dh_table(answers: CellAnswers) -> DhTable:
     return DhTable.model_validate({"convention": answers.value(questions.DH_CONVENTION), **columns})
 
 
-def _bus(answers: CellAnswers) -> BusSpec:
-    answers.settle(
-        [
-            (questions.OFFLINE, Answer(False, "the bus is read")),
-            (questions.EDS, Answer((), "none given")),
-            (questions.BUS, Answer(DEFAULT_BUS, f"{ASSUMED}: first adapter")),
-            (questions.SYNC_PERIOD, Answer(0.01, "six drives at 1 Mbit/s")),
-            (questions.PACING, Answer("real", "real time")),
-            (questions.POSES, Answer({}, "as in the cell file")),
-        ]
-    )
-    return BusSpec.parse(answers.value(questions.BUS))
-
-
 def _drives(
     answers: CellAnswers,
     robot: Robot,
@@ -194,7 +193,9 @@ def _drives(
     order = offers.stored_order(in_files, robot.axes) or offers.node_order(on_bus, robot.axes)
     answers.settle([(questions.NODES, order)], robot.axes)
     ids: tuple[int, ...] = answers.value(questions.NODES)
-    _alone(ids)
+    twice = sorted({node for node in ids if ids.count(node) > 1})
+    if twice:
+        raise ConfigError(f"nodes: node id {twice[0]} is used for more than one axis; each drive needs its own node id")
     nodes = of_axes(ids, on_bus, in_files)
     answers.settle([(questions.PROFILE, offers.profile_names(nodes))], robot.axes)
     profiles = [find_profile(name, Path()) for name in answers.value(questions.PROFILE)]
@@ -205,12 +206,6 @@ def _drives(
         live = [replace(node, values=values.get(node.node_id or 0, {})) for node in on_bus]
         nodes = of_axes(ids, live, in_files)
     return Axes(nodes, profiles), nodes
-
-
-def _alone(ids: Sequence[int]) -> None:
-    twice = sorted({node for node in ids if ids.count(node) > 1})
-    if twice:
-        raise ConfigError(f"nodes: node id {twice[0]} is used for more than one axis; each drive needs its own node id")
 
 
 def _gears(answers: CellAnswers, axes: Axes) -> None:
@@ -245,13 +240,7 @@ def _limits(answers: CellAnswers, robot: Robot, axes: Axes) -> None:
         ],
         robot.axes,
     )
-    _flange(answers, offers.flange_frame(robot))
-    _loads(answers, robot)
-
-
-def _flange(answers: CellAnswers, offered: tuple[Answer, Answer] | None) -> None:
-    """Determine position and orientation of the flange; an orientation that is not stated is assumed."""
-    place, turn = offered or (
+    place, turn = offers.flange_frame(robot) or (
         Answer((), f"{ASSUMED}: results only in the last link"),
         Answer((0.0, 0.0, 0.0), f"{ASSUMED}: not rotated in the last link"),
     )
@@ -261,10 +250,6 @@ def _flange(answers: CellAnswers, offered: tuple[Answer, Answer] | None) -> None
     elif answers.taken[questions.FLANGE.key] is not place:
         turn = replace(turn, source=f"{ASSUMED}: not rotated in the last link", value=(0.0, 0.0, 0.0))
     answers.settle([(questions.FLANGE_TURN, turn)])
-
-
-def _loads(answers: CellAnswers, robot: Robot) -> None:
-    """Determine the rated load and check it against the arm; default of the heaviest load is the rated load."""
     torque: Sequence[float] = answers.value(questions.TORQUE_LIMIT)
     torque_nm = None if answers.taken[questions.TORQUE_LIMIT.key].guessed else max(torque)
     trusted = answers.value(questions.INERTIALS) != "ignore"
@@ -301,12 +286,6 @@ def _strangers(on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode], ids: Se
     return remarks
 
 
-def _obstacles(profiles: Sequence[DriveProfile]) -> list[str]:
-    """Report profiles that refuse motion."""
-    reported = {profile.name: profile.obstacles for profile in profiles}
-    return [f"profile {name} refuses motion: {obstacle}" for name, found in reported.items() for obstacle in found]
-
-
 def _contradicted(nodes: Sequence[SeenNode | None], profiles: Sequence[DriveProfile]) -> list[str]:
     """Report profiles that use objects missing in the data sheet of their drive, once per pair."""
     reported: dict[tuple[str, str], str] = {}
@@ -317,14 +296,3 @@ def _contradicted(nodes: Sequence[SeenNode | None], profiles: Sequence[DriveProf
                 what = f"profile {profile.name} and {node.sheet.name} contradict each other: {'; '.join(problems)}"
                 reported[profile.name, node.sheet.name] = what
     return list(reported.values())
-
-
-def _own_gears(nodes: Sequence[SeenNode | None]) -> list[str]:
-    """Report drives with an internal gear ratio: `check` refuses them."""
-    remarks: list[str] = []
-    for node in nodes:
-        motor = None if node is None else node.read("gear_motor_revolutions")
-        shaft = None if node is None else node.read("gear_shaft_revolutions")
-        if node is not None and motor is not None and shaft is not None and motor.value != shaft.value:
-            remarks.append(f"{node.name}: 0x6091 is {motor.value}:{shaft.value}; set it to 1:1, the cell has the ratio")
-    return remarks

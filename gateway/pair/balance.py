@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from gateway.pair.calibration import PathWrenches
-from gateway.pair.internal_force import AVERAGED_S, InternalForce
+from gateway.pair.force import AVERAGED_S, InternalForce
 from gateway.pair.joint_targets import ExternalTorque, Shown
 from gateway.pair.learning_update import led
 from gateway.pair.model_uncertainty import (
@@ -144,22 +144,18 @@ class ForceBalance:
         """
         if self.wrench is None:
             return None
-        maps, certain = self._maps, self._certain_force(self.wrench)
+        certain = self.wrench.copy()
+        for part in (slice(0, 3), slice(3, 6)):
+            size = float(np.linalg.norm(self.wrench[part]))
+            along = self.wrench[part] / size if size > 0.0 else self.wrench[part]
+            # the filtered variance fades to nothing while all joints turn, and rounding may take it below that
+            std = math.sqrt(max(0.0, along @ self._feigned[part, part] @ along))
+            certain[part] = max(0.0, size - CERTAIN_STD * std) * along
+        maps, certain = self._maps, certain
         return (
             maps.from_centre[0][m] @ (maps.share[0][m] - certain),
             maps.from_centre[1][m] @ (maps.share[1][m] + certain),
         )
-
-    def _certain_force(self, wrench: Floats) -> Floats:
-        """Return force and moment (6,), each reduced by the part that friction of joints at rest may cause."""
-        certain = wrench.copy()
-        for part in (slice(0, 3), slice(3, 6)):
-            size = float(np.linalg.norm(wrench[part]))
-            along = wrench[part] / size if size > 0.0 else wrench[part]
-            # the filtered variance fades to nothing while all joints turn, and rounding may take it below that
-            std = math.sqrt(max(0.0, along @ self._feigned[part, part] @ along))
-            certain[part] = max(0.0, size - CERTAIN_STD * std) * along
-        return certain
 
     def mean_to_and_fro(self) -> Floats:
         """Return the wrench (6,) of the mean torque of a forward and backward motion, so that friction cancels."""
@@ -174,7 +170,12 @@ class ForceBalance:
 
     def learn(self) -> None:
         """Update the arms' constants from the trajectory, unless an external force acted on the arms on it alone."""
-        unexplained = self._out_of_balance() > UNEXPLAINED_RATIO
+        # mean square of the torque that no internal force explains, over its expectation
+        torque_left, weight, information = self._weighed()
+        pulled = np.einsum("nij,nj->ni", information, torque_left)
+        explained = np.einsum("ni,ni->n", pulled, np.linalg.solve(information @ self._force, pulled[..., None])[..., 0])
+        square = np.einsum("ni,nij,nj->n", torque_left, weight, torque_left) - explained
+        unexplained = (float(np.mean(square)) / (torque_left.shape[1] - self._force.shape[2])) > UNEXPLAINED_RATIO
         self.pulled, self._unexplained = unexplained and not self._unexplained, unexplained
         if self.pulled:
             return
@@ -182,14 +183,6 @@ class ForceBalance:
         left, columns, hidden = self._averaged()
         std = np.sqrt(hidden**2 + self._sample_nm**2)
         self.uncertainty.learn(columns[there], left[there], self._force[there], std[there])
-
-    def _out_of_balance(self) -> float:
-        """Return the mean square of the torque not explained by an internal force, over its expectation."""
-        left, weight, information = self._weighed()
-        pulled = np.einsum("nij,nj->ni", information, left)
-        explained = np.einsum("ni,ni->n", pulled, np.linalg.solve(information @ self._force, pulled[..., None])[..., 0])
-        square = np.einsum("ni,nij,nj->n", left, weight, left) - explained
-        return float(np.mean(square)) / (left.shape[1] - self._force.shape[2])
 
     def internal_force(self) -> InternalForce:
         """Return the internal wrench along the completed trajectory, averaged symmetrically and therefore without

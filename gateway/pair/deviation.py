@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.pair.balance import ForceBalance
-from gateway.pair.force_guard import DELAY_MEMORY_S, ForceGuard, cause_of
+from gateway.pair.force import DELAY_MEMORY_S, ForceGuard, cause_of
 from gateway.pair.gap import GapWatch
 from gateway.pair.joint_targets import ExternalTorque
 from gateway.pair.transform import Floats

@@ -9,7 +9,7 @@ import numpy as np
 
 from drives.instrument import InstrumentSetup
 from gateway.cell.config_pair import DistanceConfig, PairConfig
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.motion.reactions import ARM_RULES
 from gateway.pair.distance import DistanceEstimator, DistanceSensors
 from gateway.pair.transform import Floats, inverse

@@ -1,13 +1,18 @@
-"""Iterative learning control: the second function of the pair is learned while the pair runs."""
+"""Iterative learning control: the second function of the pair is learned while the pair runs.
+
+`CorrectionStore` keeps the corrections of the newest cycles, for every command of the path and both arms (CN104379308,
+blocks 111a, 111b).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from gateway.errors import ConfigError
 from gateway.pair.calibration import PairCalibration
-from gateway.pair.correction_store import CorrectionStore
 from gateway.pair.learning_points import Record, prune, refine, score, select
 from gateway.pair.learning_update import (
     LearningRule,
@@ -17,10 +22,10 @@ from gateway.pair.learning_update import (
     led,
     local,
     raw_relation,
+    representative,
     smoothed,
 )
 from gateway.pair.path import PairPath
-from gateway.pair.representative import representative
 from gateway.pair.transform import Floats, apply_correction, correction_between, inverse
 from gateway.pair.transform_function import TransformFunction
 
@@ -144,7 +149,22 @@ class IterativeLearning:
             function = prune(self._rule.selection, function)
             self._points = self._path.nearest(function.s_m)
         taken_over = self._rule.figure == 15 and self._rule.source == "command"
-        return self._take(function, cycle, typical[:, 0] if taken_over else np.zeros_like(typical[:, 0]))
+        master = typical[:, 0] if taken_over else np.zeros_like(typical[:, 0])
+        arc_m = self._path.s_m
+        last = self.first if self.second is None else self.second
+        change_m, change_rad = largest_change(function.many(arc_m)[self._points], last.many(arc_m)[self._points])
+        present = self.in_use
+        self.second = function
+        moved_master = apply_correction(cycle.master_base, master)
+        self.master_offset = correction_between(moved_master, self._path.commands)
+        self._choose(largest_n(cycle), change_m, change_rad)
+        if self._rule.schedule == "block":
+            self._store.clear()
+        else:
+            shared = inverse(self._calibration.w_t_b2) @ self._calibration.w_t_b1 @ self._path.commands
+            moved = correction_between(shared @ self.in_use.many(arc_m), shared @ present.many(arc_m))
+            self._store.rereference(np.stack([master, moved], axis=1))
+        return Learned(True, len(function), change_m, change_rad)
 
     def _asked(self, cycle: Cycle) -> Floats:
         """Return the corrections (M, 2, 6) of a cycle, each at the command that it belongs to.
@@ -179,24 +199,6 @@ class IterativeLearning:
             stiffness = np.diag(self._calibration.chain_stiffness)[[0, 3]]
             self._points = refine(selection, wanted, self._path, self._points, stiffness)
 
-    def _take(self, function: TransformFunction, cycle: Cycle, master: Floats) -> Learned:
-        """Put a rebuilt function in place of the second one, and the master's correction (M, 6) into its commands."""
-        arc_m = self._path.s_m
-        last = self.first if self.second is None else self.second
-        change_m, change_rad = largest_change(function.many(arc_m)[self._points], last.many(arc_m)[self._points])
-        present = self.in_use
-        self.second = function
-        moved_master = apply_correction(cycle.master_base, master)
-        self.master_offset = correction_between(moved_master, self._path.commands)
-        self._choose(largest_n(cycle), change_m, change_rad)
-        if self._rule.schedule == "block":
-            self._store.clear()
-        else:
-            shared = inverse(self._calibration.w_t_b2) @ self._calibration.w_t_b1 @ self._path.commands
-            moved = correction_between(shared @ self.in_use.many(arc_m), shared @ present.many(arc_m))
-            self._store.rereference(np.stack([master, moved], axis=1))
-        return Learned(True, len(function), change_m, change_rad)
-
     def _choose(self, force: float, change_m: float, change_rad: float) -> None:
         """Which function the next cycle uses.
 
@@ -223,3 +225,63 @@ class IterativeLearning:
 def largest_n(cycle: Cycle) -> float:
     """Return the largest internal force of a cycle [N]."""
     return float(np.linalg.norm(cycle.force[:, :3], axis=1).max())
+
+
+ARMS = 2
+
+
+class CorrectionStore:
+    """Store of the corrections (M, 2, 6) `[m, rad]` of the last R cycles.
+
+    Parameters
+    ----------
+    cycles : int
+        R, at least 1.
+    commands : int
+        M.
+    """
+
+    def __init__(self, cycles: int, commands: int) -> None:
+        if cycles < 1 or commands < 2:
+            raise ConfigError(
+                f"correction store: at least 1 cycle and 2 commands are needed, got {cycles} and {commands}"
+            )
+        self._cycles, self._commands = cycles, commands
+        self._kept: list[Floats] = []
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    @property
+    def full(self) -> bool:
+        """Return whether R cycles are stored."""
+        return len(self._kept) == self._cycles
+
+    @property
+    def corrections(self) -> Floats:
+        """Return the stored corrections (n, M, 2, 6), oldest first."""
+        return np.array(self._kept).reshape(len(self._kept), self._commands, ARMS, 6)
+
+    def add(self, corrections: ArrayLike) -> None:
+        """Store one cycle (M, 2, 6): master, slave."""
+        values = np.array(corrections, dtype=float)
+        if values.shape != (self._commands, ARMS, 6):
+            raise ConfigError(f"correction store: a cycle has shape ({self._commands}, {ARMS}, 6), got {values.shape}")
+        if not np.isfinite(values).all():
+            raise ConfigError("correction store: a cycle with a correction that is not finite cannot be learned from")
+        self._kept = [*self._kept, values][-self._cycles :]
+
+    def clear(self) -> None:
+        """Delete all cycles, because the errors of a learned block no longer exist."""
+        self._kept = []
+
+    def rereference(self, change: ArrayLike) -> None:
+        """Subtract the learned change of the commands from the stored corrections.
+
+        Parameters
+        ----------
+        change : array of shape (M, 2, 6)
+            Change of the commands of master and slave by what was learned, base axes.
+        """
+        for cycle in self._kept:
+            cycle -= np.asarray(change, dtype=float)

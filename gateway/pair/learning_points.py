@@ -216,11 +216,6 @@ def _value(feature: Feature, record: Record, path: PairPath) -> Floats:
         return np.hypot(
             np.linalg.norm(corrections[:, :3], axis=1), path.rho_m * np.linalg.norm(corrections[:, 3:], axis=1)
         )
-    return _of_command(feature, path)
-
-
-def _of_command(feature: Feature, path: PairPath) -> Floats:
-    """Return the features that depend on the commands only."""
     place = path.commands[:, :3, 3]
     if feature.kind == "position":
         inside = [np.all((place >= lower) & (place <= upper), axis=1) for lower, upper in feature.boxes]

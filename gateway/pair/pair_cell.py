@@ -20,8 +20,7 @@ from gateway.model.robot import Robot, rotation_rpy, transform
 from gateway.pair.gap import GapLayout, gap_layout
 from gateway.pair.inverse import ForwardChain, chain_of, path_joint_angles
 from gateway.pair.path import PairPath, PathProgram, master_commands
-from gateway.pair.relation import relation, slave_command
-from gateway.pair.transform import Floats
+from gateway.pair.transform import Floats, relation, slave_command
 
 COLUMNS = ("time_s", "x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 #: Constants of an axis by key of the cell file and by name in messages: names in `AxisConstants`.
@@ -253,6 +252,10 @@ def _arm(loaded: LoadedCell, config: ArmConfig, grasp: Floats) -> PairArm:
                 " give it, or name under `identified` a result of record --moving that holds it"
             )
         constants.append(np.array([value.value for value in values]))
+    rows = []
+    for mass, com, inertia in zip(robot.mass_kg, robot.com_m, robot.inertia_kg_m2, strict=True):
+        about = inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
+        rows.append([mass, *(mass * com), *about[np.triu_indices(3)]])
     return PairArm(
         config,
         robot,
@@ -260,18 +263,9 @@ def _arm(loaded: LoadedCell, config: ArmConfig, grasp: Floats) -> PairArm:
         _pose(config.base_xyz_m, config.base_rpy_rad),
         grasp,
         *constants,
-        links=_links(robot),
+        links=np.array(rows).ravel(),
         known=known,
     )
-
-
-def _links(robot: Robot) -> Floats:
-    """Inertial parameters (10 N,) of the links about their origins, in the order of the regressor's columns."""
-    rows = []
-    for mass, com, inertia in zip(robot.mass_kg, robot.com_m, robot.inertia_kg_m2, strict=True):
-        about = inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
-        rows.append([mass, *(mass * com), *about[np.triu_indices(3)]])
-    return np.array(rows).ravel()
 
 
 def read_path(path: Path) -> tuple[Floats, float]:

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import LimitExceeded, PlanRefused, WrongPlace
 from gateway.motion.joint_path import angles
 from gateway.motion.reactions import ARM_RULES
@@ -25,20 +25,26 @@ from gateway.motion.workspace import Workspace
 from gateway.pair.balance import ForceBalance
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.deviation import NEAR_RAD, Deviation, DeviationFromDistance, DeviationFromForce
-from gateway.pair.force_guard import ForceGuard
+from gateway.pair.force import ForceGuard, InternalForce
 from gateway.pair.gap import GapWatch, SensorCheck
-from gateway.pair.internal_force import InternalForce
 from gateway.pair.inverse import path_joint_angles
-from gateway.pair.joint_targets import ExternalTorque, JointFollower
+from gateway.pair.joint_targets import ExternalTorque, FrictionOffset, JointFollower
 from gateway.pair.model_uncertainty import ModelUncertainty, constants_of
 from gateway.pair.pair_cell import PairCell
-from gateway.pair.pair_setpoints import Along, Settling, Watch, WatchedMotion, smooth
+from gateway.pair.pair_setpoints import (
+    Along,
+    Commander,
+    Pair,
+    PreparedTrajectory,
+    Settling,
+    Streamed,
+    Watch,
+    WatchedMotion,
+    smooth,
+)
 from gateway.pair.path import PairPath
-from gateway.pair.prepared_trajectory import Commander, Pair, PreparedTrajectory, Streamed
-from gateway.pair.presliding import FrictionOffset
-from gateway.pair.relation import relation
 from gateway.pair.servo_lag import LagLaw
-from gateway.pair.transform import Floats, inverse
+from gateway.pair.transform import Floats, inverse, relation
 
 #: Largest distance of an arm from the grip posture when a run begins [rad].
 START_TOLERANCE_RAD = 0.02

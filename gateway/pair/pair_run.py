@@ -12,17 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gateway.motion.stream import Stream
-from gateway.pair.chain import GearChain, Hand
-from gateway.pair.controller import PairController
-from gateway.pair.embodiments import Embodiment
-from gateway.pair.internal_force import InternalForce
+from gateway.pair.controller import Embodiment, PairController
+from gateway.pair.force import InternalForce
+from gateway.pair.inverse import GearChain, Hand
 from gateway.pair.pair_cell import PairCell
 from gateway.pair.pair_motion import FADE_S, PairMotion, PairMotionOptions
-from gateway.pair.pair_setpoints import smooth
+from gateway.pair.pair_setpoints import Commander, PreparedTrajectory, Streamed, smooth
 from gateway.pair.path import PairPath
-from gateway.pair.prepared_trajectory import Commander, PreparedTrajectory, Streamed
-from gateway.pair.relation import slave_command
-from gateway.pair.transform import Floats
+from gateway.pair.transform import Floats, slave_command
 from gateway.pair.transform_function import TransformFunction, function_of_knots
 from gateway.result.pair import CycleSummary
 
@@ -122,7 +119,16 @@ class PairRun:
 
     def stand(self) -> None:
         """Move both arms to the start of the path with zero corrections, where the grippers close."""
-        self.motion.approach(self._trajectory.targets(0, self._stationary()), SETTLED_S, self._trajectory)
+        first, second = self._cell.arms
+        command = self.path.commands[0]
+        relation = self.controller.function.at(float(self.path.s_m[0]))
+        self.motion.approach(
+            self._trajectory.targets(
+                0, (command, slave_command(first.world_from_base, command, second.world_from_base, relation))
+            ),
+            SETTLED_S,
+            self._trajectory,
+        )
 
     def cycle(self) -> PairCycle:
         """Run one forward trajectory from rest at the start; learn from it if it was complete.
@@ -158,13 +164,6 @@ class PairRun:
         if rule is None or rule.source == "command":
             return self.controller.step
         return lambda m, one, two: self.controller.step(m, one, two, self.motion.present)
-
-    def _stationary(self) -> tuple[Floats, Floats]:
-        """Both gripper commands at the start of the path, without corrections."""
-        first, second = self._cell.arms
-        command = self.path.commands[0]
-        relation = self.controller.function.at(float(self.path.s_m[0]))
-        return command, slave_command(first.world_from_base, command, second.world_from_base, relation)
 
     def back(self) -> bool:
         """Run the return, which learns separately because servos and gears respond differently; return whether it has

@@ -20,13 +20,12 @@ import numpy as np
 
 from drives.files import replace_file
 from gateway.errors import InputError
-from gateway.pair.function_file import read_stored, refuse_foreign, stored_function
 from gateway.pair.pair_cell import PairCell
 from gateway.pair.pair_run import PairCycle, PairRun
 from gateway.pair.path import PairPath
 from gateway.pair.transform import Floats
-from gateway.pair.transform_function import TransformFunction
-from gateway.result.interval import TWO_SIDED_95
+from gateway.pair.transform_function import TransformFunction, read_stored, refuse_foreign, stored_function
+from gateway.result.numerals import TWO_SIDED_95
 from gateway.result.pair import LearningSwitch, LinkStatistics, PairRunResult, Stage, StoredFunction
 from gateway.result.values import Model, Numbers, decoded, json_object, json_text, numbers, plain_values, text_of
 

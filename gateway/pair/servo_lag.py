@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.pair.transform import Floats
 
 #: Bounds of a plausible servo lag [s].

@@ -1,30 +1,41 @@
-"""Teaching and running a pair from its files to its files."""
+"""Teaching and running a pair from its files to its files, over both arms connected and configured on two buses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gateway.data.disk import Disk
 from gateway.errors import ConfigError, InputError
+from gateway.motion.arms import Arms
+from gateway.motion.opening import OpenArm, open_arm
 from gateway.motion.power import powered
 from gateway.motion.stops import guarded
-from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS, Embodiment, with_gains
-from gateway.pair.function_file import read_stored, refuse_foreign, transform_of
+from gateway.motion.stream import MoveOptions, Stream
+from gateway.pair.controller import DISTANCE_GAINS, EMBODIMENTS, Embodiment, with_gains
+from gateway.pair.gap import instruments_on
 from gateway.pair.impedance import Gains
-from gateway.pair.link import PairLink
 from gateway.pair.pair_cell import PairCell
 from gateway.pair.pair_motion import PairMotion, PairMotionOptions, refuse_elsewhere
 from gateway.pair.pair_run import PairCycle, PairRun
 from gateway.pair.pair_store import PairStore, run_result
-from gateway.pair.speed_table import SpeedTable
-from gateway.pair.taught_path import AFRESH, TaughtPath, read_taught_path
-from gateway.pair.teach import Teacher, TeachRule
+from gateway.pair.teach import AFRESH, TaughtPath, Teacher, TeachRule, read_taught_path
 from gateway.pair.transform import Floats
-from gateway.pair.transform_function import TransformFunction, constant_function, sampled
-from gateway.result.pair import PairRunResult, TaughtPoint
+from gateway.pair.transform_function import (
+    SpeedTable,
+    TransformFunction,
+    constant_function,
+    read_stored,
+    refuse_foreign,
+    sampled,
+    transform_of,
+)
+from gateway.result.pair import LinkStatistics, PairRunResult, Skew, TaughtPoint
 
 #: What can be run without the simulator's truth.
 RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exact")
@@ -144,7 +155,10 @@ def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: flo
         Nothing was taught, or the stored function is for another path or cell.
     """
     if row.first == "fixed":
-        return _from_one_relation(cell, store, row, speed)
+        second = None if row.learning is None else store.load("second")
+        if second is not None and second.embodiment == row.name:
+            return transform_of(second), f"learned by {second.embodiment} {second.date}"
+        return one_relation(cell, row, speed), "one relation, from the start"
     first = store.load("first")
     if first is None:
         raise InputError(f"{store.folder}: holds no first function; run teach before this embodiment")
@@ -185,16 +199,6 @@ def function_back(store: PairStore, row: Embodiment) -> TransformFunction | None
     """
     back = None if row.learning is None else store.load("back")
     return transform_of(back) if back is not None and back.embodiment == row.name else None
-
-
-def _from_one_relation(
-    cell: PairCell, store: PairStore, row: Embodiment, speed: float
-) -> tuple[TransformFunction, str]:
-    """Return the relation of the grasps, or the function that this embodiment has learned from it."""
-    second = None if row.learning is None else store.load("second")
-    if second is not None and second.embodiment == row.name:
-        return transform_of(second), f"learned by {second.embodiment} {second.date}"
-    return one_relation(cell, row, speed), "one relation, from the start"
 
 
 def one_relation(cell: PairCell, row: Embodiment, speed: float) -> TransformFunction:
@@ -285,3 +289,59 @@ def _origin(run: PairRun, cycles: list[PairCycle]) -> dict[str, Any]:
         "embodiment": run.config.name,
         "cycles": len(cycles),
     }
+
+
+class PairLink:
+    """Both arms of a pair, connected to their buses.
+
+    Parameters
+    ----------
+    opened : master and slave
+    together : the same under one clock
+    """
+
+    def __init__(self, opened: tuple[OpenArm, OpenArm], together: Arms) -> None:
+        self.opened, self.together = opened, together
+
+    def stream(self, cell: PairCell, options: MoveOptions) -> Stream:
+        """Return the stream of both arms."""
+        return Stream(self.together, tuple(each.workspace for each in self.opened), cell.sync_period_s, options)
+
+    def statistics(self) -> LinkStatistics:
+        """Return the counters of both buses so far."""
+        first, second = (each.group.statistics for each in self.opened)
+        return LinkStatistics(
+            pacing="real" if self.together.real else "lockstep",
+            cycles=(first.cycles, second.cycles),
+            incomplete=(first.incomplete, second.incomplete),
+            late=(first.late, second.late),
+            skew_s=_skew(self.together.skew_s) if self.together.real else None,
+        )
+
+
+def _skew(skew_s: Sequence[float]) -> Skew:
+    skew = np.array(skew_s) if skew_s else np.zeros(1)
+    size = np.abs(skew)
+    return Skew(float(np.median(skew)), float(np.percentile(size, 99)), float(size.max()))
+
+
+@contextmanager
+def open_link(cell: PairCell, ledger: Path | None = None) -> Generator[PairLink]:
+    """Connect and configure both arms; on leaving all drives are disabled and both buses closed.
+
+    Raises
+    ------
+    ConfigError, DriveError
+        As `open_arm`.
+    """
+    with ExitStack() as opened:
+        arms, disk = [], opened.enter_context(Disk())
+        for arm, spec in zip(cell.arms, cell.specs, strict=True):
+            on_bus, name = instruments_on(arm.config.bus, cell.config), arm.config.name
+            opening = open_arm(
+                cell.loaded, spec, name, ledger=ledger, offsets=("torque",), instruments=on_bus, disk=disk
+            )
+            arms.append(opened.enter_context(opening))
+        together = Arms([each.arm for each in arms], cell.pacing)
+        opened.callback(together.close)
+        yield PairLink((arms[0], arms[1]), together)

@@ -3,27 +3,43 @@
 Both arms hold the part and move slowly from point to point. At rest dry friction hides the force, so both arms make a
 small sweep together: every joint then moves in both directions, and over one period friction cancels. The slave's
 command is moved against the force until the force is below its set value; what is stored are the commands.
+
+Along the path a joint may barely move, so the sweep moves and rotates the part such that all joints of both arms move.
+The taught points and their file are here too.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from gateway.errors import InputError
 from gateway.pair.impedance import Admittance, Gains
+from gateway.pair.inverse import turns_at
+from gateway.pair.pair_cell import PairCell
 from gateway.pair.pair_motion import PairMotion, PairStopped
-from gateway.pair.pair_setpoints import smooth
+from gateway.pair.pair_setpoints import Pair, PreparedTrajectory, smooth
 from gateway.pair.path import PairPath
-from gateway.pair.prepared_trajectory import Pair, PreparedTrajectory
-from gateway.pair.relation import relation, slave_command
-from gateway.pair.sweep import LEVER_M, liveliest_twist, swept
-from gateway.pair.taught_path import TaughtPath, taught_point
-from gateway.pair.transform import Floats, apply_correction
+from gateway.pair.transform import (
+    Floats,
+    apply_correction,
+    cross_matrix,
+    exp_rotation,
+    inverse,
+    pose,
+    relation,
+    slave_command,
+)
 from gateway.pair.transform_function import TransformFunction, function_of_knots
-from gateway.result.pair import TaughtPoint
+from gateway.result.pair import POINTS_KIND, SCHEMA, TaughtPathFile, TaughtPoint
+from gateway.result.values import check_kind, decoded, json_object, json_text, matrix, numbers, text_of
 
 #: Largest change of a correction in one step [m], [rad].
 LARGEST_STEP = (1.5e-3, 8e-3)
@@ -151,11 +167,18 @@ class Teacher:
         for _ in range(rule.rounds):
             begin = self._commands(sweep, function)(0, None, None)
             self._motion.approach(sweep.targets(0, begin), 0.0)
-            wrench = self._measure(sweep, function)
+            self._motion.run(sweep, self._commands(sweep, function))
+            wrench = sweep.balance.mean_to_and_fro()
             forces.append(float(np.linalg.norm(wrench[:3])))
             moments.append(float(np.linalg.norm(wrench[3:])))
             if forces[-1] <= rule.force_n and moments[-1] <= rule.moment_nm:
-                return self._taught(index, function, (tuple(forces), tuple(moments)))
+                first, second = self._motion.cell.arms
+                command = self._path.commands[index]
+                s_m = float(self._path.s_m[index])
+                plain = slave_command(first.world_from_base, command, second.world_from_base, function.at(s_m))
+                adjusted = apply_correction(plain, self._correction)
+                together = relation(first.world_from_base, command, second.world_from_base, adjusted)
+                return taught_point(index, s_m, together, self._correction, (tuple(forces), tuple(moments)))
             self._correction = self._correction + yielding.step(sweep.maps.at_tip(1, 0, wrench))
             away_m, away_rad = np.linalg.norm(self._correction[:3]), np.linalg.norm(self._correction[3:])
             if away_m > rule.largest_m or away_rad > rule.largest_rad:
@@ -167,22 +190,6 @@ class Teacher:
             f"point {index + 1}: {forces[-1]:.1f} N and {moments[-1]:.2f} Nm are left after {rule.rounds} sweeps, the"
             f" set value is {rule.force_n} N and {rule.moment_nm} Nm; check friction and stiffness in the cell"
         )
-
-    def _taught(
-        self, index: int, function: TransformFunction, seen: tuple[tuple[float, ...], tuple[float, ...]]
-    ) -> TaughtPoint:
-        first, second = self._motion.cell.arms
-        command = self._path.commands[index]
-        s_m = float(self._path.s_m[index])
-        plain = slave_command(first.world_from_base, command, second.world_from_base, function.at(s_m))
-        adjusted = apply_correction(plain, self._correction)
-        together = relation(first.world_from_base, command, second.world_from_base, adjusted)
-        return taught_point(index, s_m, together, self._correction, seen)
-
-    def _measure(self, sweep: PreparedTrajectory, function: TransformFunction) -> Floats:
-        """Mean internal wrench (6,) over one period of the sweep, friction cancelled."""
-        self._motion.run(sweep, self._commands(sweep, function))
-        return sweep.balance.mean_to_and_fro()
 
     # -- trajectories
     # --------------------------------------------------------------------------------------------------------
@@ -238,3 +245,158 @@ def commands_at(path: PairPath, arcs_m: Floats) -> Floats:
     ways, first = np.unique(path.s_m, return_index=True)
     function = function_of_knots(ways, path.commands[first])
     return function.many(np.clip(arcs_m, 0.0, path.length_m))
+
+
+#: Lever that converts rotations to lengths [m].
+LEVER_M = 0.2
+
+
+def directions() -> Floats:
+    """Twists (364, 6) of length 1, a turn counted at the lever: every mixture of the six axes but for the sign."""
+    mixtures = np.array([mixture for mixture in product((0.0, 1.0, -1.0), repeat=6) if any(mixture)])
+    first = mixtures[np.arange(len(mixtures)), np.argmax(mixtures != 0.0, axis=1)]
+    kept = mixtures[first > 0.0]
+    return kept / np.linalg.norm(kept, axis=1)[:, None] / np.repeat([1.0, LEVER_M], 3)
+
+
+def liveliest_twist(cell: PairCell, command: Floats, q_rad: tuple[Floats, Floats]) -> tuple[Floats, float]:
+    """Return the twist of the part that maximises the smallest joint movement.
+
+    Parameters
+    ----------
+    cell : PairCell
+    command : array of shape (4, 4)
+        Of the master's gripper.
+    q_rad : two arrays of shape (N,)
+        Joint angles of both arms there.
+
+    Returns
+    -------
+    tuple
+        Twist (6,) of the part about its centre, world axes, length 1 [m/m, rad/m]; how far the joint that turns least
+        turns with it [rad/m].
+    """
+    centre = _centre(cell, command)
+    twists = directions()
+    least = np.full(len(twists), np.inf)
+    for arm, q in zip(cell.arms, q_rad, strict=True):
+        lever = (arm.world_from_base @ arm.chain.poses(q[None])[0][0])[:3, 3] - centre
+        to_base = np.kron(np.eye(2), arm.world_from_base[:3, :3].T)
+        at_tip = np.eye(6)
+        at_tip[:3, 3:] = -cross_matrix(lever)
+        rates = turns_at(arm.chain, q, to_base @ at_tip @ twists.T)
+        least = np.minimum(least, np.abs(rates).min(axis=0))
+    best = int(np.argmax(least))
+    return twists[best], float(least[best])
+
+
+def swept(cell: PairCell, command: Floats, twist: Floats, offsets_m: Floats) -> Floats:
+    """Return the master's commands (n, 4, 4) that move the part from a command along a twist by offsets (n,) [m]."""
+    base = cell.arms[0].world_from_base
+    centre = pose(np.eye(3), _centre(cell, command))
+    back = inverse(base)
+    moved = [pose(exp_rotation(twist[3:] * offset_m), twist[:3] * offset_m) for offset_m in offsets_m]
+    return np.array([back @ centre @ each @ inverse(centre) @ base @ command for each in moved])
+
+
+def _centre(cell: PairCell, command: Floats) -> Floats:
+    first = cell.arms[0]
+    return (first.world_from_base @ command @ inverse(first.part_from_tip))[:3, 3]
+
+
+AFRESH = "teach again without --resume"
+
+
+def taught_point(
+    index: int, s_m: float, relation: Floats, correction: Floats, forces: tuple[ArrayLike, ArrayLike]
+) -> TaughtPoint:
+    """Build a taught point from arrays.
+
+    Parameters
+    ----------
+    index : of the command on the path, from 0
+    s_m : arc length
+    relation : array of shape (4, 4), gripper 2 in gripper 1
+    correction : array of shape (6,), of the slave, its base [m, rad]
+    forces : force [N] and moment [Nm] of every sweep
+    """
+    return TaughtPoint(
+        command=index + 1,
+        s_m=s_m,
+        relation=matrix(relation),
+        correction_m=numbers(correction[:3]),
+        correction_rad=numbers(correction[3:]),
+        force_n=numbers(forces[0]),
+        moment_nm=numbers(forces[1]),
+    )
+
+
+@dataclass(slots=True)
+class TaughtPath:
+    """Points taught so far, for one path of one cell.
+
+    Attributes
+    ----------
+    laws_s : array of shape (J, 2)
+        T and tau [s] of `e + tau e' = T u'`, by which each joint of both arms followed its setpoints, NaN where
+        unknown; None = not estimated.
+    """
+
+    path_hash: str
+    cell_hash: str
+    points: list[TaughtPoint] = field(default_factory=list)
+    laws_s: Floats | None = None
+
+    def update_laws(self, laws_s: Floats) -> None:
+        """Take the present estimates of T and tau (J, 2) [s]; values that are no longer estimated are kept."""
+        before = np.full(laws_s.shape, math.nan) if self.laws_s is None else self.laws_s
+        self.laws_s = np.where(np.isnan(laws_s), before, laws_s)
+
+    def function(self, start: Floats) -> TransformFunction:
+        """Function through the points; `start` (4, 4) while there is none."""
+        if not self.points:
+            return function_of_knots([0.0], start[None])
+        ordered = sorted(self.points, key=lambda point: point.s_m)
+        return function_of_knots([point.s_m for point in ordered], np.array([point.relation for point in ordered]))
+
+    def to_json(self) -> str:
+        """Return the JSON text of the file."""
+        rows = [] if self.laws_s is None else self.laws_s.tolist()
+        laws = tuple(None if math.isnan(lag_s) else (lag_s, tau_s) for lag_s, tau_s in rows)
+        points = tuple(self.points)
+        return json_text(
+            TaughtPathFile(path_hash=self.path_hash, cell_hash=self.cell_hash, points=points, servo_law_s=laws)
+        )
+
+
+def taught_path_from_json(text: str, where: str) -> TaughtPath:
+    """Read taught points.
+
+    Raises
+    ------
+    InputError
+        Not such a file, or a key is missing or of the wrong kind.
+    """
+    try:
+        data = json_object(text, where)
+        check_kind(data, SCHEMA, POINTS_KIND, where)
+        stored = decoded(TaughtPathFile, data, where)
+    except InputError as error:
+        raise InputError(f"{error}; {AFRESH}") from error
+    unknown = (math.nan, math.nan)
+    laws = np.array([unknown if law is None else law for law in stored.servo_law_s]) if stored.servo_law_s else None
+    return TaughtPath(stored.path_hash, stored.cell_hash, list(stored.points), laws)
+
+
+def read_taught_path(path: Path, path_hash: str, cell_hash: str) -> TaughtPath:
+    """Taught points of a file, if it is for this path of this cell.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is for another one.
+    """
+    taught_path = taught_path_from_json(text_of(path, AFRESH), str(path))
+    if (taught_path.path_hash, taught_path.cell_hash) != (path_hash, cell_hash):
+        raise InputError(f"{path}: its points were taught on another path or in another cell; {AFRESH}")
+    return taught_path

@@ -3,6 +3,8 @@
 A correction is a 6-vector `[dP (3) m; log dR (3) rad]` in the axes of the frame that the pose is given in:
 `P'' = P + dP`, `R'' = dR R` (CN104379308 eqs. (21) to (26)). It is not a product of poses, which would turn P about the
 frame's origin as well. All functions take stacks: leading dimensions are kept.
+
+The relation between two grippers, and the slave's command that follows from it, are eqs. (3) and (4).
 """
 
 from __future__ import annotations
@@ -128,3 +130,26 @@ def correction_between(corrected: ArrayLike, transform: ArrayLike) -> Floats:
     after, before = np.asarray(corrected, dtype=float), np.asarray(transform, dtype=float)
     turn = after[..., :3, :3] @ np.swapaxes(before[..., :3, :3], -1, -2)
     return np.concatenate([after[..., :3, 3] - before[..., :3, 3], log_rotation(turn)], axis=-1)
+
+
+def relation(w_t_b1: ArrayLike, b1_t_e1: ArrayLike, w_t_b2: ArrayLike, b2_t_e2: ArrayLike) -> Floats:
+    """Pose of gripper 2 in gripper 1, eq. (3).
+
+    Parameters
+    ----------
+    w_t_b1, w_t_b2 : arrays of shape (4, 4)
+        Bases of master and slave in the world [m].
+    b1_t_e1, b2_t_e2 : arrays of shape (..., 4, 4)
+        Gripper poses in their own bases [m].
+
+    Returns
+    -------
+    array of shape (..., 4, 4)
+        `E1_T_E2 = inv(W_T_B1 B1_T_E1) W_T_B2 B2_T_E2`.
+    """
+    return inverse(np.asarray(w_t_b1) @ np.asarray(b1_t_e1)) @ (np.asarray(w_t_b2) @ np.asarray(b2_t_e2))
+
+
+def slave_command(w_t_b1: ArrayLike, b1_t_e1: ArrayLike, w_t_b2: ArrayLike, e1_t_e2: ArrayLike) -> Floats:
+    """Command of gripper 2 in its base, eq. (4): `B2_T_E2 = inv(W_T_B2) W_T_B1 B1_T_E1 E1_T_E2`; shapes (..., 4, 4)."""
+    return (inverse(w_t_b2) @ np.asarray(w_t_b1)) @ np.asarray(b1_t_e1) @ np.asarray(e1_t_e2)

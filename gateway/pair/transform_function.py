@@ -4,18 +4,30 @@ Between two knots the position is linear and the rotation is about a fixed axis:
 R_k Rot(k, a rate)` with `dR_k = R_k^T R_(k+1)`, which meets both knots exactly. (The printed pair, eq. (8) `dR = R_k
 inv(R_(k+1))` with eq. (15) `R_k dR`, misses the second one.) Before the first knot and behind the last one the function
 keeps its value.
+
+A function in a file has units, frames, source, speed and date. It belongs to one path in one cell; for any other it is
+refused. `SpeedTable` holds functions for several speed settings, and gives the one for a setting in between (embodiment
+3). Printed, the increments inside a segment are interpolated and the knots are kept, so the function jumps at every
+knot. Here every knot is interpolated, `P(x) = P_a + lam (P_b - P_a)`, `R(x) = R_a Rot(lam log(R_a^T R_b))` with `lam =
+(x - a)/(b - a)`: continuous, and the same for the increments (eqs. (19), (20)).
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from bisect import bisect_right
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gateway.errors import InputError
-from gateway.pair.transform import Floats, cross_matrix, log_rotation, pose
+from gateway.pair.transform import Floats, cross_matrix, exp_rotation, log_rotation, pose
+from gateway.result.pair import FUNCTION_KIND, KNOT_UNITS, SCHEMA, FunctionKnot, StoredFunction
+from gateway.result.values import check_kind, decoded, json_object, matrix, numbers, text_of
 
 LARGEST_TURN_RAD = math.pi - 1e-3
 ORTHONORMAL = 1e-6
@@ -43,7 +55,29 @@ class TransformFunction:
     __slots__ = ("_angle", "_cross", "_double", "_knots", "_list", "_step", "position_m", "rotation", "s_m")
 
     def __init__(self, s_m: ArrayLike, position_m: ArrayLike, rotation: ArrayLike) -> None:
-        self.s_m, self.position_m, self.rotation = _checked(s_m, position_m, rotation)
+        arc_m, place, turn = (np.array(value, dtype=float) for value in (s_m, position_m, rotation))
+        if arc_m.ndim != 1 or len(arc_m) < 1 or place.shape != (len(arc_m), 3) or turn.shape != (len(arc_m), 3, 3):
+            raise InputError(
+                "a transform function needs N arc lengths (N,), positions (N, 3) and rotations (N, 3, 3), got"
+                f" {arc_m.shape}, {place.shape}, {turn.shape}"
+            )
+        if not all(np.isfinite(value).all() for value in (arc_m, place, turn)):
+            raise InputError("a transform function has a value that is not finite")
+        if any(np.abs(value).max() > LARGEST for value in (arc_m, place, turn)):
+            raise InputError(f"a transform function has a value beyond {LARGEST:g}")
+        if np.any(np.diff(arc_m) <= 0.0):
+            first_bad = int(np.argmax(np.diff(arc_m) <= 0.0))
+            raise InputError(
+                f"knots of the transform function are out of order: knot {first_bad + 2} at "
+                f"{arc_m[first_bad + 1]:.6g} m is not behind knot {first_bad + 1} at {arc_m[first_bad]:.6g} m"
+            )
+        deviation = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(axis=(1, 2))
+        wrong = (deviation > ORTHONORMAL) | (np.linalg.det(turn) < 0.0)
+        if wrong.any():
+            raise InputError(f"knot {int(np.argmax(wrong)) + 1} of the transform function holds no rotation matrix")
+        for value in (arc_m, place, turn):
+            value.setflags(write=False)
+        self.s_m, self.position_m, self.rotation = arc_m, place, turn
         turn = log_rotation(np.swapaxes(self.rotation[:-1], -1, -2) @ self.rotation[1:])
         self._angle = np.linalg.norm(turn, axis=1)
         if np.any(self._angle > LARGEST_TURN_RAD):
@@ -127,27 +161,147 @@ def closed(function: TransformFunction, end_m: float) -> TransformFunction:
     return function_of_knots(s_m, np.concatenate([knots, knots[:1]]))
 
 
-def _checked(s_m: ArrayLike, position_m: ArrayLike, rotation: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    arc_m, place, turn = (np.array(value, dtype=float) for value in (s_m, position_m, rotation))
-    if arc_m.ndim != 1 or len(arc_m) < 1 or place.shape != (len(arc_m), 3) or turn.shape != (len(arc_m), 3, 3):
+def stored_function(function: TransformFunction, **origin: Any) -> StoredFunction:
+    """Build a stored function from a transform function and its origin, the other fields of `StoredFunction`."""
+    knots = zip(function.s_m, function.position_m, function.rotation, strict=True)
+    return StoredFunction(
+        knots=tuple(FunctionKnot(float(way), numbers(place), matrix(turn)) for way, place, turn in knots), **origin
+    )
+
+
+def transform_of(stored: StoredFunction) -> TransformFunction:
+    """Return the transform function of a stored function.
+
+    Raises
+    ------
+    InputError
+        Knots out of order, matrices that are no rotations.
+    """
+    return TransformFunction(*([getattr(knot, key) for knot in stored.knots] for key in KNOT_UNITS))
+
+
+def read_stored(path: Path) -> StoredFunction:
+    """Read the file of a function.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or as `from_json`.
+    """
+    return from_json(text_of(path, "teach or learn it again"), str(path))
+
+
+def from_json(text: str, where: str) -> StoredFunction:
+    """Read a stored function.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        Name of the file, for messages.
+
+    Raises
+    ------
+    InputError
+        Not such a file, a key missing or of the wrong type, knots out of order, or invalid rotation matrices.
+    """
+    data = json_object(text, where)
+    check_kind(data, SCHEMA, FUNCTION_KIND, where)
+    stored = decoded(StoredFunction, data, where)
+    if stored.units != KNOT_UNITS:
+        raise InputError(f"{where}: units {stored.units!r}, expected {KNOT_UNITS}")
+    try:
+        transform_of(stored)
+    except (InputError, ValueError) as error:
+        raise InputError(f"{where}: {error}") from error
+    return stored
+
+
+def refuse_foreign(stored: StoredFunction, path_hash: str, cell_hash: str, where: str) -> None:
+    """Refuse a stored function of another path or cell.
+
+    Raises
+    ------
+    InputError
+        States which of both differs, and what to do.
+    """
+    if stored.cell_hash != cell_hash:
         raise InputError(
-            "a transform function needs N arc lengths (N,), positions (N, 3) and rotations (N, 3, 3), got"
-            f" {arc_m.shape}, {place.shape}, {turn.shape}"
+            f"{where}: was made in another cell ({_short(stored.cell_hash)}, this one is {_short(cell_hash)}): bases,"
+            " arms or grips differ; teach this cell"
         )
-    if not all(np.isfinite(value).all() for value in (arc_m, place, turn)):
-        raise InputError("a transform function has a value that is not finite")
-    if any(np.abs(value).max() > LARGEST for value in (arc_m, place, turn)):
-        raise InputError(f"a transform function has a value beyond {LARGEST:g}")
-    if np.any(np.diff(arc_m) <= 0.0):
-        first_bad = int(np.argmax(np.diff(arc_m) <= 0.0))
+    if stored.path_hash != path_hash:
         raise InputError(
-            f"knots of the transform function are out of order: knot {first_bad + 2} at {arc_m[first_bad + 1]:.6g} m"
-            f" is not behind knot {first_bad + 1} at {arc_m[first_bad]:.6g} m"
+            f"{where}: is valid for another path ({_short(stored.path_hash)}, this one is {_short(path_hash)}); the"
+            " path was changed since, teach or learn it again"
         )
-    deviation = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(axis=(1, 2))
-    wrong = (deviation > ORTHONORMAL) | (np.linalg.det(turn) < 0.0)
-    if wrong.any():
-        raise InputError(f"knot {int(np.argmax(wrong)) + 1} of the transform function holds no rotation matrix")
-    for value in (arc_m, place, turn):
-        value.setflags(write=False)
-    return arc_m, place, turn
+
+
+def _short(digest: str) -> str:
+    return digest[:12]
+
+
+#: Furthest extrapolation, in units of the last interval beyond its start.
+LARGEST_SHARE = 1.3
+
+
+class ExtrapolationWarning(UserWarning):
+    """Warning about a speed setting outside the stored ones."""
+
+
+class SpeedTable:
+    """Transform functions by speed setting; 0 is the one taught at rest.
+
+    Parameters
+    ----------
+    functions : mapping of float to TransformFunction
+        At least two settings, none negative, all for the same path.
+
+    Raises
+    ------
+    InputError
+    """
+
+    def __init__(self, functions: Mapping[float, TransformFunction]) -> None:
+        if len(functions) < 2:
+            raise InputError(f"a speed table needs functions for at least two speed settings, got {len(functions)}")
+        if any(not (np.isfinite(speed) and speed >= 0.0) for speed in functions):
+            raise InputError(f"speed settings must be finite and not negative, got {sorted(functions)}")
+        self._functions = dict(sorted(functions.items()))
+        self.speeds = tuple(self._functions)
+
+    def at(self, speed: float) -> TransformFunction:
+        """Function for a speed setting; straight between neighbours, beyond the last one up to 1.3 intervals.
+
+        Raises
+        ------
+        InputError
+            Speed negative or not finite.
+
+        Warns
+        -----
+        ExtrapolationWarning
+            Outside the stored settings: lag grows with the speed, but centrifugal force with its square.
+        """
+        if not (np.isfinite(speed) and speed >= 0.0):
+            raise InputError(f"a speed setting must be finite and not negative, got {speed}")
+        upper = int(np.clip(np.searchsorted(self.speeds, speed), 1, len(self.speeds) - 1))
+        slow, fast = self.speeds[upper - 1], self.speeds[upper]
+        share = (speed - slow) / (fast - slow)
+        if not 0.0 <= share <= 1.0:
+            warnings.warn(
+                f"speed setting {speed} is outside the stored ones ({self.speeds[0]} to {self.speeds[-1]}):"
+                f" extrapolated{', clipped' if not 0.0 <= share <= LARGEST_SHARE else ''}",
+                ExtrapolationWarning,
+                stacklevel=2,
+            )
+        return between(self._functions[slow], self._functions[fast], float(np.clip(share, 0.0, LARGEST_SHARE)))
+
+
+def between(slow: TransformFunction, fast: TransformFunction, share: float) -> TransformFunction:
+    """Interpolate between two functions by a share, on the knots of both."""
+    arc_m = np.union1d(slow.s_m, fast.s_m)
+    a, b = slow.many(arc_m), fast.many(arc_m)
+    turn = log_rotation(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3])
+    place = a[:, :3, 3] + share * (b[:, :3, 3] - a[:, :3, 3])
+    return function_of_knots(arc_m, pose(a[:, :3, :3] @ exp_rotation(share * turn), place))

@@ -100,15 +100,11 @@ def calibrated(text: str, where: str, arm: ArmConfig, serials: Mapping[int, int]
             findings.append(Finding("warn", f"J{joint}", what, _AGAIN))
             continue
         scale[joint - 1] = axis.torque_scale
-        std[joint - 1] = np.hypot(axis.std_percent / 100.0, _aged(now - run.measured))
+        moved = min(max(_AGEING * ((now - run.measured) / _MONTH), 0.0), _MOST_AGEING)  # at this age
+        std[joint - 1] = np.hypot(axis.std_percent / 100.0, moved)
         provenance[f"J{joint}"] = dict(_entries(run, axis))
         used[joint] = run, axis
     return Calibrated(scale, std, (*_named(used, now), *findings), provenance)
-
-
-def _aged(age: timedelta) -> float:
-    """Return the standard deviation by which a torque constant has moved at this age."""
-    return min(max(_AGEING * (age / _MONTH), 0.0), _MOST_AGEING)
 
 
 def _refused(axis: CalibratedAxis, stated: AxisConfig, serial: int | None) -> str:

@@ -1,9 +1,12 @@
-"""Complete a result for its file: add what the report draws and the source of every constant."""
+"""Complete a result for its file: add what the report draws, and the source of every constant up to the joint torque.
+
+Its loads are compared with the operator's expectation and with the ratings of the cell file.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,23 +15,26 @@ from typing import Any, Final
 import numpy as np
 
 from drives.errors import ProfileError
-from gateway.cell.provenance import provenance
-from gateway.data.reading import is_recording
+from drives.profile import Constant, DriveProfile, Rated, Signal, current_factor
+from drives.scaling import Constants
+from gateway.cell.config import ArmConfig, AxisConfig
 from gateway.data.recording.reader import FINISHED
 from gateway.data.recording.recorded import ArmRecording, Recording
-from gateway.data.table import Table
+from gateway.data.table import Table, is_recording
 from gateway.identify.load_estimate import load_result, refused_findings, refused_load
+from gateway.identify.prior_loads import unknown_labels
 from gateway.pipeline.inputs import AnalysisInputs, profile_of
 from gateway.pipeline.torque_size import constant_torques
 from gateway.report.collect import drawn_poses, flange_spread
-from gateway.result.acceptance import not_hung
+from gateway.result.acceptance import Expected, Rating, accepted, check_expected, not_hung
 from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
-from gateway.result.interval import half_width
+from gateway.result.numerals import half_width
 from gateway.result.origin import DriveOrigin, drives_of, file_sha256, in_words, software
 from gateway.result.result import Finding, LoadResult, Result
 
 #: Characters in which two spellings of one label may differ.
 _SEPARATORS: Final = re.compile(r"[\s_-]+")
+Entry = dict[str, Any]
 
 
 def finalize(
@@ -56,7 +62,7 @@ def finalize(
     """
     result = _with_parts(_without_incredible(result, about), about.knowledge.parts)
     drawn = Drawn() if result.data is None else result.data
-    roles = drawn.role or _roles(result)
+    roles = drawn.role or (() if result.rows is None else ("fit",) * len(result.rows.load))
     constants = _provenance(about)
     return replace(
         result,
@@ -64,7 +70,11 @@ def finalize(
             *result.findings,
             *constant_torques(table),
             *about.assumed,
-            *_corrected(about),
+            # constants that were corrected since the recording
+            *(
+                Finding("info", f"J{each.joint}", f"{each.what}: recomputed with the constants of the cell file", "")
+                for each in about.corrections
+            ),
             *data_findings(about, table),
             *not_hung(result.loads),
         ),
@@ -139,14 +149,6 @@ def _with_parts(result: Result, parts: Mapping[str, tuple[str, str]]) -> Result:
     return replace(result, loads=reported, findings=tuple(findings), after=replace(result.after, loads=reported))
 
 
-def _corrected(about: AnalysisInputs) -> list[Finding]:
-    """Report the constants that were corrected since the recording."""
-    return [
-        Finding("info", f"J{each.joint}", f"{each.what}: recomputed with the constants of the cell file", "")
-        for each in about.corrections
-    ]
-
-
 def data_findings(about: AnalysisInputs, table: Table) -> Iterator[Finding]:
     """Report recordings that were not finished, and labels of loads that differ only in their spelling."""
     for recording in about.recordings:
@@ -182,10 +184,6 @@ def _poses(result: Result, about: AnalysisInputs, roles: Sequence[str]) -> tuple
     if result.rows is None or about.robot is None:
         return ()
     return drawn_poses(about.robot, result.rows, result.loads, roles)
-
-
-def _roles(result: Result) -> tuple[str, ...]:
-    return () if result.rows is None else ("fit",) * len(result.rows.load)
 
 
 def _drives(about: AnalysisInputs) -> tuple[DriveOrigin, ...]:
@@ -256,3 +254,117 @@ def _provenance(about: AnalysisInputs) -> dict[str, Any]:
     found = dict(provenance(about.arm, profiles, constants, about.currents))
     measured = {} if about.calibrated is None else about.calibrated.provenance
     return {joint: entries | measured.get(joint, {}) for joint, entries in found.items()}
+
+
+def provenance(
+    arm: ArmConfig,
+    profiles: Sequence[DriveProfile],
+    constants: Sequence[Constants] = (),
+    currents: Container[int] = (),
+) -> dict[str, dict[str, Entry]]:
+    """Constants of every axis with value, unit and source.
+
+    Parameters
+    ----------
+    arm : ArmConfig
+    profiles : sequence of DriveProfile, one per axis
+        In the order of the axes.
+    constants : sequence of Constants, one per axis
+        What was read from the drives; empty if no drive was asked.
+    currents : container of int
+        Joints whose torque is computed from the motor current of a table.
+
+    Returns
+    -------
+    dict
+        "J1" to "JN" -> name -> {"value", "unit", "source"}.
+    """
+    read = list(constants) or [None] * len(arm.axis)
+    return {
+        f"J{joint}": _axis(*axis, joint in currents)
+        for joint, axis in enumerate(zip(arm.axis, profiles, read, strict=True), start=1)
+    }
+
+
+def _axis(axis: AxisConfig, profile: DriveProfile, read: Constants | None, of_current: bool) -> dict[str, Entry]:
+    entries = {
+        "gear_ratio": _entry(axis.gear_ratio.value, "-", axis.gear_ratio.source),
+        "gear_efficiency": _entry(axis.gear_efficiency.value, "-", axis.gear_efficiency.source),
+    }
+    constant = axis.torque_constant_nm_per_a
+    used = of_current or profile.needs_torque_constant
+    source = constant.source if used else f"{constant.source}; not used, the drive reports torque"
+    entries["torque_constant"] = _entry(constant.value, "Nm/A", source)
+    signs = f"{axis.position_sign:+d} / {axis.torque_sign:+d}"
+    entries["position_sign / torque_sign"] = _entry(signs, "-", "cell file")
+    entries["zero_offset"] = _entry(axis.zero_offset_rad, "rad", "cell file")
+    entries["torque_object"] = _entry(_object(profile.torque), "", f"profile {profile.name}: {profile.torque.source}")
+    if profile.torque.rated is not None:
+        unit = "A" if profile.torque.is_current else "Nm"
+        entries["rated_value"] = _rated(profile.torque.rated, unit, read)
+    if profile.torque.internal_unit_a is not None:
+        entries["ampere_per_unit"] = _constant(profile.torque.internal_unit_a, "A")
+    if profile.torque.is_current:
+        factor = f"profile {profile.name}: drive {profile.torque.current_reference}, constant per "
+        entries["current_factor"] = _entry(
+            current_factor(profile.torque), "-", f"{factor}{profile.torque.torque_constant_per}"
+        )
+    counts = profile.position.counts_per_revolution
+    if isinstance(counts, Constant):
+        entries["counts_per_revolution"] = _constant(counts, "1/rev")
+    else:
+        where = f"read from drive, 0x{counts.object.index:04X}:{counts.object.subindex:02X}"
+        entries["counts_per_revolution"] = _entry(read and read.counts_per_revolution, "1/rev", where)
+    return entries
+
+
+def _entry(value: Any, unit: str, source: str) -> Entry:
+    return {"value": value, "unit": unit, "source": source}
+
+
+def _constant(constant: Constant, unit: str) -> Entry:
+    return _entry(constant.value, unit, constant.source)
+
+
+def _rated(rated: Rated, unit: str, read: Constants | None) -> Entry:
+    if rated.object is None:
+        return _entry(rated.value, unit, rated.source)
+    where = f"read from drive, 0x{rated.object.index:04X}:{rated.object.subindex:02X}, {rated.unit:g} {unit} per bit"
+    return _entry(read and read.torque_rated, unit, f"{where}; {rated.source}")
+
+
+def _object(signal: Signal) -> str:
+    return f"0x{signal.object.index:04X}:{signal.object.subindex:02X}, {signal.kind.replace('_', ' ')}"
+
+
+def ratings(arm: ArmConfig | None) -> tuple[Rating, ...]:
+    """Return the ratings of the cell file (load, reach, moment); empty without a cell file."""
+    if arm is None:
+        return ()
+    said = {
+        "mass": ("rated load", arm.rated_load_kg),
+        "reach": ("rated reach", arm.rated_reach_m),
+        "moment": ("rated moment", arm.rated_moment_nm),
+    }
+    return tuple(
+        Rating(what, rated.value, f"{name}, {rated.source}")
+        for what, (name, rated) in said.items()
+        if rated is not None
+    )
+
+
+def check_against_data(expected: Sequence[Expected], tables: Iterable[Table], about: AnalysisInputs) -> None:
+    """Refuse an expectation for a load that is not in the data.
+
+    Raises
+    ------
+    InputError
+        The data lack a load; the message names its label.
+    """
+    present = [str(label) for table in tables for label in table.load]
+    check_expected(expected, (*unknown_labels(present, about.knowledge.known), *about.knowledge.parts))
+
+
+def accept(result: Result, expected: Sequence[Expected], arm: ArmConfig | None) -> Result:
+    """Return the result with its loads compared with expectation and rating."""
+    return accepted(result, expected, ratings(arm))

@@ -19,11 +19,10 @@ from gateway.cell.calibration import calibration_path
 from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.cell.quantities import parse_inertials
-from gateway.data.reading import is_recording, read_data
 from gateway.data.recording.binding import Correction, bind, refuse_other_drives
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording, arm_config
-from gateway.data.table import Table
+from gateway.data.table import Table, is_recording, read_data
 from gateway.errors import ConfigError, InputError
 from gateway.estimate.posture import refuse_other_bare
 from gateway.identify.knowledge import Knowledge
@@ -36,7 +35,7 @@ from gateway.pipeline.calibrated import Calibrated, calibrated, serial_numbers
 from gateway.pipeline.known import KnownLoad, in_last_link, unnamed_frame
 from gateway.pipeline.torque_size import refuse_small_torques, without_constant_torques
 from gateway.result.data_roles import Roles
-from gateway.result.result import Bare, Finding, read_result
+from gateway.result.result import Finding, Result, read_result
 
 VALIDATION = "x_validation"
 #: Ratio of the torque drift of a warm arm to the usual drift: half a kelvin instead of 10 K.
@@ -173,18 +172,19 @@ def inputs_from_recordings(
     bound = () if arm is None else _bound(read_ones, arm, robot, loaded)
     gravity_m_s2 = STANDARD_GRAVITY_M_S2 if arm is None else arm.gravity_m_s2
     axes = 1 if robot is None else robot.axes
-    bare = None if request.bare is None else read_bare(request.bare)
+    stored = None if request.bare is None else read_bare(request.bare)
+    bare = None if stored is None else stored.bare
     if bare is not None and robot is not None:
         refuse_other_bare(bare, robot, gravity_m_s2)
-    stated = None if arm is None else arm.link_std
-    link_std = parse_inertials(request.inertials) if request.inertials else stated
+    link_std = None if arm is None else arm.link_std
+    if request.inertials:
+        link_std = parse_inertials(request.inertials)
     bounds = load_bounds(robot, arm, trusts_masses=link_std != np.inf)
     measured = _calibrated(request, loaded, arm, [recording for recording, _ in bound])
-    if request.bare is not None:
+    if stored is not None:
         # Refuse a stored identification of the unloaded arm with other calibrated torque constants
-        stored = read_result(request.bare).provenance
         for joint in range(1, axes + 1):
-            entry = stored.get(f"J{joint}")
+            entry = stored.provenance.get(f"J{joint}")
             scale = entry.get("torque_scale") if isinstance(entry, Mapping) else None
             was = float(scale["value"]) if isinstance(scale, Mapping) else 1.0
             now = 1.0 if measured is None else float(measured.scale[joint - 1])
@@ -225,7 +225,7 @@ def inputs_from_recordings(
         currents=currents,
         assumed=(*filter(None, assumed), *(() if measured is None else measured.findings)),
         calibrated=measured,
-        bare_roles={} if request.bare is None else read_result(request.bare).data_roles,
+        bare_roles={} if stored is None else stored.data_roles,
     )
 
 
@@ -356,8 +356,8 @@ def _ended(arm: ArmConfig, tip: str | None) -> ArmConfig:
     return arm if tip is None else arm.model_copy(update={"tip": tip})
 
 
-def read_bare(path: Path) -> Bare:
-    """Return the identification of the unloaded arm that an earlier result holds.
+def read_bare(path: Path) -> Result:
+    """Return an earlier result that holds an identification of the unloaded arm.
 
     Raises
     ------
@@ -381,7 +381,7 @@ def read_bare(path: Path) -> Bare:
             f"{path}: the identification of the unloaded arm lacks numbers; estimate the samples of the unloaded arm"
             " again"
         )
-    return bare
+    return result
 
 
 def read_rows(paths: Sequence[Path], about: AnalysisInputs) -> Table:

@@ -14,18 +14,19 @@ from drives.ledger import KnownDevice, WriteLedger
 from drives.nodes import Nodes
 from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plans, tpdo_plans
-from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
+from drives.profile import DriveProfile, ObjectReference
 from drives.sdo import SdoClient
 from drives.values import Identity
 from gateway.cell.config import ArmConfig, BusConfig
 from gateway.errors import FindingFailed
 from gateway.preflight.coasting import judge_coasting
-from gateway.preflight.limits import judge_place, judge_ranges
 from gateway.preflight.rules import (
     Address,
     Axis,
     Readings,
     judge_identity,
+    judge_place,
+    judge_ranges,
     judge_settings,
     judge_state,
     used_objects,
@@ -84,10 +85,7 @@ def _references(profile: DriveProfile) -> dict[Address, str]:
     references: list[ObjectReference] = [profile.torque.object]
     rated = [signal.rated for signal in (profile.torque, profile.current) if signal is not None]
     references += [each.object for each in rated if each is not None and each.object is not None]
-    counts = profile.position.counts_per_revolution
-    if isinstance(counts, CountsFromObjects):
-        references += [counts.object] if counts.per is None else [counts.object, counts.per]
-    references += [condition.object for condition in profile.conditions]
+    references += [*profile.position.count_objects, *(condition.object for condition in profile.conditions)]
     return {(reference.index, reference.subindex): reference.type for reference in references}
 
 

@@ -17,8 +17,7 @@ from typing import Final
 from drives.objects import OBJECTS
 from drives.values import Identity
 from gateway.cell.config import ArmConfig
-from gateway.preflight.limits import drive_range_rad
-from gateway.preflight.rules import Address, Axis, Readings, joint_torque_limit_nm
+from gateway.preflight.rules import Address, Axis, Readings, drive_range_rad, joint_torque_limit_nm
 from gateway.result.result import Finding
 
 #: Allowed excess of a drive range over the cell's range, as a share of the cell's span.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 from markupsafe import Markup
@@ -12,8 +11,7 @@ from markupsafe import Markup
 from gateway.report import notation
 from gateway.report.svg import Panel
 from gateway.result.certificate import EVALUATIONS
-from gateway.result.interval import PLUS_MINUS, SAID, half_width
-from gateway.result.numerals import with_interval
+from gateway.result.numerals import PLUS_MINUS, SAID, half_width, with_interval
 from gateway.result.result import LoadResult, Result, SetAside
 
 #: Source -> its name on the page.
@@ -31,15 +29,6 @@ WIDTH: Final = 470.0
 _BAR, _ROW, _TOP, _LEFT = 22.0, 52.0, 22.0, 8.0
 #: Least share of the bar that is labelled in the figure.
 _MARGIN: Final = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class BudgetRow:
-    """One load as text: half width of its 95 % interval [kg]; share [%] and half width of each source."""
-
-    label: str
-    half: str
-    parts: tuple[tuple[str, str, str], ...]
 
 
 def budgeted(result: Result) -> list[LoadResult]:
@@ -83,26 +72,17 @@ def _bar(panel: Panel, load: LoadResult, top: float) -> None:
         start += share
 
 
-def budget_rows(result: Result) -> list[BudgetRow]:
-    """Return the budget as table rows."""
-    return [
-        BudgetRow(
-            load.label,
-            _half(load.mass_std_kg),
-            tuple(
-                (
-                    name,
-                    f"{100 * share:.0f}",
-                    notation.plain(
-                        half_width(math.sqrt(max(share, 0.0)) * load.mass_std_kg),
-                        notation.decimals(half_width(load.mass_std_kg)),
-                    ),
-                )
-                for name, share in ((key, load.budget.get(key, 0.0)) for key in SOURCE_WORDS)
-            ),
-        )
-        for load in budgeted(result)
-    ]
+def budget_rows(result: Result) -> list[tuple[str, str, list[tuple[str, str, str]]]]:
+    """Return per load: label, half width (95 %) [kg], and name, share [%] and half width [kg] of each source."""
+    rows = []
+    for load in budgeted(result):
+        half, parts = half_width(load.mass_std_kg), []
+        for name in SOURCE_WORDS:
+            share = load.budget.get(name, 0.0)
+            part = notation.plain(math.sqrt(max(share, 0.0)) * half, notation.decimals(half))
+            parts.append((name, f"{100 * share:.0f}", part))
+        rows.append((load.label, _half(load.mass_std_kg), parts))
+    return rows
 
 
 def _half(std: float) -> str:
@@ -115,7 +95,10 @@ def nuisance_rows(result: Result) -> list[tuple[str, list[str]]]:
     return [
         (
             "{} [{}]".format(*_said(key)[:2]),
-            [_cell(value, std, _said(key)[2]) for value, std in zip(nuisance.value, nuisance.std, strict=True)],
+            [
+                (with_interval(value, std, _said(key)[2]) if notation.known(value) else notation.plain(value))
+                for value, std in zip(nuisance.value, nuisance.std, strict=True)
+            ],
         )
         for key, nuisance in result.nuisance.items()
         if any(map(notation.known, nuisance.value))
@@ -127,10 +110,6 @@ def _said(key: str) -> tuple[str, str, float]:
         return NUISANCE_WORDS[key]
     name, unit = notation.parameter(key)
     return name, unit, 1.0
-
-
-def _cell(value: float, std: float, factor: float) -> str:
-    return with_interval(value, std, factor) if notation.known(value) else notation.plain(value)
 
 
 def rejected_rows(entries: Sequence[SetAside]) -> list[tuple[str, str, str, str, str, str]]:

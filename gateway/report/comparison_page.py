@@ -9,10 +9,9 @@ from typing import Final
 from markupsafe import Markup
 
 from gateway.report.page import Head, page
-from gateway.report.svg import Panel, limits
+from gateway.report.svg import Panel, limits, row_panel
 from gateway.result.compare import CANNOT_TELL, CHANGED, UNCHANGED, ComparedQuantity, ResultComparison, sentence
-from gateway.result.interval import half_width
-from gateway.result.numerals import interval_text, significant
+from gateway.result.numerals import half_width, interval_text, significant
 from gateway.result.repeatability import HOLD, TOO_LARGE, TOO_SMALL, Repeatability, RepeatedQuantity, conclusion
 
 #: Outcome of a quantity, or of a comparison -> colour of its tag, and of the head of the page.
@@ -120,11 +119,10 @@ def _compared_figure(rows: Sequence[ComparedQuantity]) -> Markup:
     half = [100.0 * row.half_width / abs(row.before) for row in rows]
     ends = [value + sign * width for value, width in zip(centre, half, strict=True) for sign in (-1, 1)]
     span = limits([max(-200.0, min(200.0, end)) for end in ends], include=(-5.0, 5.0))
-    panel = Panel(720.0, 24.0 * len(rows) + 60.0, span, (len(rows) - 0.5, -0.5), left=220.0, top=8.0)
-    panel.x_axis("difference [% of the value before]", 8)
-    panel.segment((0.0, len(rows) - 0.5), (0.0, -0.5), "limit")
+    names = [f"{row.where} {row.what}" for row in rows]
+    panel = row_panel(names, span, "difference [% of the value before]", size=(720.0, 24.0), left=220.0, count=8)
+    panel.vertical(0.0, "limit")
     for place, (row, value, width) in enumerate(zip(rows, centre, half, strict=True)):
-        panel.text(panel.left - 8, panel.y(place) + 4, f"{row.where} {row.what}", "name end")
         low, high = max(span[0], value - width), min(span[1], value + width)
         if low < high:
             panel.segment((low, place), (high, place), "force")
@@ -151,9 +149,9 @@ def _repeated_figure(row: RepeatedQuantity, days: dict[int, str]) -> Markup:
     panel.y_axis(_named(row))
     panel.x_axis("repetition", min(count, 10))
     for first, day in days.items():
-        panel.segment((first - 0.5, panel.y_range[0]), (first - 0.5, panel.y_range[1]), "group")
+        panel.vertical(first - 0.5, "group")
         panel.text(panel.x(first - 0.5) + 3, 14, day, "tick")
-    panel.segment((0.5, mean), (count + 0.5, mean), "model-line")
+    panel.horizontal(mean, "model-line")
     for number, value, half in zip(row.repetition, values, halves, strict=True):
         panel.segment((number, value - half), (number, value + half), "force")
         kind = "state-failed" if number in row.far else "dot after"

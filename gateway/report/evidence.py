@@ -9,16 +9,14 @@ import numpy as np
 from markupsafe import Markup
 
 from gateway.report import notation
-from gateway.report.axis_series import cell, measured_axes
-from gateway.report.quality import AxisQuality
-from gateway.report.svg import Panel, limits, tick_text
-from gateway.report.view import Candidate
+from gateway.report.figures import cell, measured_axes
+from gateway.report.svg import Panel, limits, line_chart, row_panel
+from gateway.report.view import AxisQuality, Candidate
 from gateway.result.drawn import Curve
-from gateway.result.interval import half_width
-from gateway.result.result import Formula, LoadResult, Result, Rows
+from gateway.result.numerals import half_width
+from gateway.result.result import Formula, Result, Rows
 
 MOST_CANDIDATES = 14
-LEFT = 34.0
 
 
 def quality_figure(axes: Sequence[AxisQuality]) -> Markup | None:
@@ -30,27 +28,23 @@ def quality_figure(axes: Sequence[AxisQuality]) -> Markup | None:
     pairs = [(axis.ratio_before, axis.ratio_after) if rated else (axis.before, axis.after) for axis in shown]
     values = [value for pair in pairs for value in pair if value > 0]
     low, high = _decades(min([0.7, *values]), max([3.0, *values])) if rated else _decades(min(values), max(values))
-    panel = Panel(430.0, 34.0 + 26.0 * len(shown) + 34.0, (low, high), (len(shown) - 0.5, -0.5), left=LEFT, top=24.0)
-    if rated:
-        panel.box((low, 0.0), (len(shown) - 0.5, -0.5), "floor")
-    _log_axis(panel, "residual RMS / noise floor [-]" if rated else "residual RMS [Nm]")
-    if rated:
-        panel.segment((0.0, len(shown) - 0.5), (0.0, -0.5), "mark")
-        panel.text(panel.x(0.0), 16, "noise floor", "label mid")
-    for row, (axis, (before, after)) in enumerate(zip(shown, pairs, strict=True)):
-        panel.text(LEFT - 8, panel.y(row) + 4, axis.name, "name end")
-        _dumbbell(panel, row, (before, after), axis)
+    panel = row_panel(
+        [axis.name for axis in shown],
+        (low, high),
+        "residual RMS / noise floor [-]" if rated else "residual RMS [Nm]",
+        size=(430.0, 26.0),
+        mark=(0.0, "noise floor") if rated else None,
+        shade=(low, 0.0) if rated else None,
+        log=True,
+    )
+    for row, (axis, pair) in enumerate(zip(shown, pairs, strict=True)):
+        before, after = (math.log10(max(value, 10**low)) if notation.known(value) else math.nan for value in pair)
+        if notation.known(before) and notation.known(after) and axis.before != axis.after:
+            panel.segment((before, row), (after, row), "move")
+            panel.dot(before, row, "dot before", f"{axis.name} before: {axis.before:.3g} Nm", 5.5)
+        if notation.known(after):
+            panel.dot(after, row, "dot after", f"{axis.name}: {axis.after:.3g} Nm", 5.5)
     return panel.svg("Residual of each axis, before and after")
-
-
-def _dumbbell(panel: Panel, row: int, pair: tuple[float, float], axis: AxisQuality) -> None:
-    low = panel.x_range[0]
-    before, after = (math.log10(max(value, 10**low)) if notation.known(value) else math.nan for value in pair)
-    if notation.known(before) and notation.known(after) and axis.before != axis.after:
-        panel.segment((before, row), (after, row), "move")
-        panel.dot(before, row, "dot before", f"{axis.name} before: {axis.before:.3g} Nm", 5.5)
-    if notation.known(after):
-        panel.dot(after, row, "dot after", f"{axis.name}: {axis.after:.3g} Nm", 5.5)
 
 
 def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:
@@ -60,16 +54,13 @@ def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:
     chosen = [item for item in candidates if item.chosen]
     shown = (chosen + [item for item in candidates if not item.chosen])[:MOST_CANDIDATES]
     top = max(1.15, min(2.0, max(item.ratio for item in shown) * 1.08))
-    height = 30.0 + 21.0 * len(shown) + 36.0
-    panel = Panel(560.0, height, (0.0, top), (len(shown) - 0.5, -0.5), left=200.0, right=36.0, top=24.0, bottom=40.0)
-    panel.x_axis("held-out error with the effect / without it [-]")
-    panel.segment((1.0, len(shown) - 0.5), (1.0, -0.5), "mark")
-    panel.text(panel.x(1.0), 16, "no improvement", "label mid")
+    label = "held-out error with the effect / without it [-]"
+    names, mark = [""] * len(shown), (1.0, "no improvement")
+    panel = row_panel(names, (0.0, top), label, size=(560.0, 21.0), left=200.0, right=36.0, mark=mark)
     for row, item in enumerate(shown):
-        y = panel.y(row)
         panel.box((0.0, min(item.ratio, top)), (row - 0.32, row + 0.32), "bar chosen" if item.chosen else "bar")
-        panel.text(192, y + 4, item.label, "name end strong" if item.chosen else "name end")
-        panel.text(panel.x(min(item.ratio, top)) + 6, y + 4, notation.plain(item.ratio, 2), "tick")
+        panel.row_name(row, item.label, "name end strong" if item.chosen else "name end")
+        panel.text(panel.x(min(item.ratio, top)) + 6, panel.y(row) + 4, notation.plain(item.ratio, 2), "tick")
     return panel.svg("Held-out error of each tested effect")
 
 
@@ -87,19 +78,15 @@ def per_pose_figure(result: Result, classes: Mapping[str, str]) -> Markup | None
             panel.text(panel.x(place), panel.height - panel.bottom + 13, name, "tick mid")
     panel.x_label("pose")
     for load in loads:
-        _per_pose(panel, load, names, classes.get(load.label, "load-1"))
+        kind, mass, half = classes.get(load.label, "load-1"), load.mass_kg, half_width(load.mass_std_kg)
+        if notation.known(mass) and notation.known(half):
+            panel.box(panel.x_range, (mass - half, mass + half), f"between {kind}")
+            panel.horizontal(mass, f"whisker {kind}")
+        for place, name in enumerate(names):
+            value = load.per_pose_mass_kg.get(name, math.nan)
+            if notation.known(value):
+                panel.dot(place, value, f"dot {kind}", f"load {load.label}, pose {name}: {value:.2f} kg", 3.4)
     return panel.svg("Mass estimated from each pose alone")
-
-
-def _per_pose(panel: Panel, load: LoadResult, names: Sequence[str], kind: str) -> None:
-    mass, half = load.mass_kg, half_width(load.mass_std_kg)
-    if notation.known(mass) and notation.known(half):
-        panel.box(panel.x_range, (mass - half, mass + half), f"between {kind}")
-        panel.segment((panel.x_range[0], mass), (panel.x_range[1], mass), f"whisker {kind}")
-    for place, name in enumerate(names):
-        value = load.per_pose_mass_kg.get(name, math.nan)
-        if notation.known(value):
-            panel.dot(place, value, f"dot {kind}", f"load {load.label}, pose {name}: {value:.2f} kg", 3.4)
 
 
 def _as_number(name: str) -> tuple[float, str]:
@@ -112,24 +99,23 @@ def _as_number(name: str) -> tuple[float, str]:
 def friction_figure(result: Result) -> Markup | None:
     """Draw the friction band of each visit and its median per axis, logarithmic."""
     rows = result.rows or Rows()
-    bands = {axis: _bands(rows, axis) for axis in measured_axes(rows)}
+    bands = {}
+    for axis in measured_axes(rows):
+        values = [cell(rows.band_nm, row, axis) for row in range(len(rows.band_nm))]
+        bands[axis] = [value for value in values if math.isfinite(value) and value > 0]
     bands = {axis: values for axis, values in bands.items() if values}
     if not bands:
         return None
     everything = [value for values in bands.values() for value in values]
-    low, high = _decades(min(everything) / 1.5, max(everything) * 1.5)
-    panel = Panel(
-        760.0,
-        20.0 + 30.0 * len(bands) + 40.0,
-        (low, high),
-        (len(bands) - 0.5, -0.5),
-        left=LEFT,
+    panel = row_panel(
+        [notation.axis(axis + 1) for axis in bands],
+        _decades(min(everything) / 1.5, max(everything) * 1.5),
+        "friction band: half the difference between the approach directions [Nm]",
+        size=(760.0, 30.0),
         right=110.0,
-        bottom=40.0,
+        log=True,
     )
-    _log_axis(panel, "friction band: half the difference between the approach directions [Nm]")
     for row, (axis, values) in enumerate(bands.items()):
-        panel.text(LEFT - 8, panel.y(row) + 4, notation.axis(axis + 1), "name end")
         for value in values:
             panel.dot(math.log10(value), row, "dot faint", f"{value:.3g} Nm", 4.0)
         stated = cell((result.friction_band_nm,), 0, axis)
@@ -141,17 +127,16 @@ def friction_figure(result: Result) -> Markup | None:
 
 def curve_figure(curve: Curve) -> Markup:
     """Draw one effect over the quantity it depends on: measured points, curve and 95 % band."""
-    x_range = limits([*curve.x, *curve.points_x], pad=0.03)
-    y_range = limits([*curve.y, *curve.low, *curve.high, *curve.points_y], include=(0.0,))
-    panel = Panel(560.0, 290.0, x_range, y_range)
-    panel.y_axis(curve.y_label, 5)
-    panel.x_axis(curve.x_label + (f" [{curve.x_unit}]" if curve.x_unit else ""), 6)
-    if curve.low and curve.high:
-        panel.area(curve.x, curve.low, curve.high, "confidence")
-    panel.polyline(list(zip(curve.x, curve.y, strict=True)), "curve")
-    for x, y in zip(curve.points_x, curve.points_y, strict=True):
-        panel.dot(x, y, "dot before", f"measured: {y:.3g} Nm", 3.6)
-    return panel.svg(f"{notation.effect(curve.name)} as a curve")
+    return line_chart(
+        f"{notation.effect(curve.name)} as a curve",
+        (curve.x_label + (f" [{curve.x_unit}]" if curve.x_unit else ""), curve.y_label),
+        [(curve.x, curve.y, "curve")],
+        dots=[(curve.points_x, curve.points_y, "dot before", 3.6, "measured: {y:.3g} Nm")],
+        bands=[(curve.x, curve.low, curve.high, "confidence")] if curve.low and curve.high else (),
+        x_range=limits([*curve.x, *curve.points_x], pad=0.03),
+        y_range=limits([*curve.y, *curve.low, *curve.high, *curve.points_y], include=(0.0,)),
+        size=(560.0, 290.0),
+    )
 
 
 def formula_figure(formula: Formula) -> Markup:
@@ -162,27 +147,5 @@ def formula_figure(formula: Formula) -> Markup:
     return curve_figure(Curve("formula", None, x_label, "Nm", "residual without a formula [Nm]", ends, ends, **points))
 
 
-def _bands(rows: Rows, axis: int) -> list[float]:
-    values = [cell(rows.band_nm, row, axis) for row in range(len(rows.band_nm))]
-    return [value for value in values if math.isfinite(value) and value > 0]
-
-
 def _decades(low: float, high: float) -> tuple[float, float]:
     return math.log10(low) - 0.04, math.log10(high) + 0.06
-
-
-def _log_axis(panel: Panel, label: str) -> None:
-    """Return ticks at 1, 2 and 5 in each decade."""
-    low, high = panel.x_range
-    base = panel.height - panel.bottom
-    marks = [
-        (factor, exponent)
-        for exponent in range(math.floor(low), math.ceil(high) + 1)
-        for factor in ((1, 2, 5) if high - low < 2.2 else (1,))
-        if low <= exponent + math.log10(factor) <= high
-    ]
-    for factor, exponent in marks:
-        x = panel.x(exponent + math.log10(factor))
-        panel.add(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{panel.top}" y2="{base}"/>')
-        panel.text(x, base + 14, tick_text(factor * 10.0**exponent, 10.0 ** min(exponent, 0)), "tick mid")
-    panel.x_label(label)

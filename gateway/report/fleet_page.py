@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from gateway.report import notation
 from gateway.report.page import Head, page
-from gateway.report.svg import Panel, limits
+from gateway.report.svg import Panel, limits, line_chart
 from gateway.result.fleet import (
     GAIN,
     MASS,
@@ -24,8 +24,7 @@ from gateway.result.fleet import (
     TrendCurve,
     quantity,
 )
-from gateway.result.interval import half_width
-from gateway.result.numerals import plus_minus, with_interval
+from gateway.result.numerals import half_width, plus_minus, with_interval
 
 TAGS: dict[State, str] = {"visit": "fail", "not seen": "warn", "cannot tell": "warn", "healthy": "pass"}
 STATUS: dict[State, str] = {"visit": "bad", "not seen": "open", "cannot tell": "open", "healthy": "good"}
@@ -36,7 +35,6 @@ IN_WORDS: dict[State, str] = {
     "healthy": "is healthy",
 }
 PERCENT = 100.0
-WIDTH, HEIGHT = 330.0, 170.0
 #: Number of robots drawn, from the top of the list.
 DRAWN = 60
 
@@ -46,11 +44,12 @@ def render_fleet(fleet: FleetHealth) -> str:
     about = (("as of", fleet.as_of), ("robots", str(len(fleet.robots))), ("checks", str(fleet.checks)),
              ("", fleet.software))  # fmt: skip
     drawn = [line for line in fleet.robots[:DRAWN] if math.isfinite(line.gain_std_per_year)]
+    worst: list[State] = [state for state in STATES if fleet.count(state)]
     return page(
         "fleet.html.j2",
         Head("Fleet", "Fleet report", about),
         fleet=fleet,
-        status=_status(fleet),
+        status=(STATUS[worst[0]] if worst else STATUS["cannot tell"]),
         headline=headline(fleet),
         counts="; ".join(f"{fleet.count(state)} {state}" for state in STATES),
         tags=TAGS,
@@ -70,11 +69,6 @@ def headline(fleet: FleetHealth) -> str:
     return f"{said}, {unknown} cannot be assessed" if unknown else said
 
 
-def _status(fleet: FleetHealth) -> str:
-    worst: list[State] = [state for state in STATES if fleet.count(state)]
-    return STATUS[worst[0]] if worst else STATUS["cannot tell"]
-
-
 def _gains(lines: list[RobotLine]) -> Markup:
     """Draw the most significant gain drift of each robot with its interval."""
     centre = [PERCENT * line.gain_per_year for line in lines]
@@ -86,7 +80,7 @@ def _gains(lines: list[RobotLine]) -> Markup:
     )
     panel.y_axis("drift of the gain [% a year]")
     for side in (-1, 1):
-        panel.segment((panel.x_range[0], side * limit), (panel.x_range[1], side * limit), "limit")
+        panel.horizontal(side * limit, "limit")
     for place, (line, value, each) in enumerate(zip(lines, centre, half, strict=True), start=1):
         colour = "c5" if line.state == "visit" else "c2"
         panel.segment((place, value - each), (place, value + each), f"whisker {colour}")
@@ -113,24 +107,20 @@ def render_robot(robot: RobotHealth) -> str:
         robot=robot,
         status=STATUS[line.state],
         headline=f"{line.cell}, arm {line.arm}: {IN_WORDS[line.state]}",
-        loads=_loads(robot),
+        loads=[
+            (
+                load.program,
+                with_interval(load.first_kg, load.first_std_kg),
+                with_interval(load.last_kg, load.last_std_kg),
+                load.last_seen or notation.plain(None),
+                str(load.checks),
+                load.outcome,
+                load.why,
+            )
+            for load in robot.loads
+        ],
         quantities=list(_quantities(robot)),
     )
-
-
-def _loads(robot: RobotHealth) -> list[tuple[str, ...]]:
-    return [
-        (
-            load.program,
-            with_interval(load.first_kg, load.first_std_kg),
-            with_interval(load.last_kg, load.last_std_kg),
-            load.last_seen or notation.plain(None),
-            str(load.checks),
-            load.outcome,
-            load.why,
-        )
-        for load in robot.loads
-    ]
 
 
 def _quantities(robot: RobotHealth) -> Iterator[tuple[str, list[tuple[str, ...]], list[tuple[str, Markup]]]]:
@@ -173,15 +163,12 @@ def _row(trend: FleetTrend) -> tuple[str, ...]:
 
 def _panel(kind: Tracked, curve: TrendCurve) -> tuple[str, Markup]:
     name = _place(curve.joint, curve.program)
-    unit = kind.unit or "1"
-    panel = Panel(WIDTH, HEIGHT, limits(curve.day, include=(0.0,)), limits([*curve.value, *curve.line]))
-    panel.y_axis(f"{name} {kind.words.split()[0]} [{unit}]")
-    panel.x_axis("days since the first check [d]")
-    for day, value in zip(curve.day, curve.value, strict=True):
-        panel.dot(day, value, "dot faint", radius=2.4)
-    if curve.line:
-        low, high = panel.y_range
-        below, above = ([min(max(value, low), high) for value in edge] for edge in (curve.low, curve.high))
-        panel.area(curve.line_day, below, above, "confidence")
-        panel.polyline(list(zip(curve.line_day, curve.line, strict=True)), "curve")
-    return name, panel.svg(f"{kind.words} of {name} over days, with its trend")
+    return name, line_chart(
+        f"{kind.words} of {name} over days, with its trend",
+        ("days since the first check [d]", f"{name} {kind.words.split()[0]} [{kind.unit or '1'}]"),
+        [(curve.line_day, curve.line, "curve")],
+        dots=[(curve.day, curve.value, "dot faint", 2.4, "")],
+        bands=[(curve.line_day, curve.low, curve.high, "confidence")] if curve.line else (),
+        x_range=limits(curve.day, include=(0.0,)),
+        y_range=limits([*curve.value, *curve.line]),
+    )

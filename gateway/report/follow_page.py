@@ -9,10 +9,9 @@ from markupsafe import Markup
 
 from gateway.report import notation
 from gateway.report.page import Head, drive_rows, made, page, status_of
-from gateway.report.svg import Panel, limits
+from gateway.report.svg import Panel, limits, line_chart
 from gateway.result.follow import IDENTIFIED, MAXIMUM, OFF, ErrorCurve, FollowResult, TorqueCurve, TrendCloud
-from gateway.result.interval import SAID
-from gateway.result.numerals import with_interval
+from gateway.result.numerals import SAID, with_interval
 
 NAMES = {OFF: "off", MAXIMUM: "maximum load assumed", IDENTIFIED: "identified load"}
 #: Axes named in the headline: those that carry gravity.
@@ -25,7 +24,6 @@ QUANTITIES = (
     ("lag [ms]", "lag_s", 1000.0),
     ("overshoot [mrad]", "overshoot_rad", MRAD),
 )
-WIDTH, HEIGHT = 330.0, 170.0
 
 
 def render_follow(result: FollowResult) -> str:
@@ -33,6 +31,15 @@ def render_follow(result: FollowResult) -> str:
     path = f"{result.path.name}, {result.path.duration_s:.1f} s"
     about = (("robot", result.robot), ("cell", result.cell), ("arm", result.arm), ("path", path), *made(result.origin))
     trend = result.trend if result.trend is not None and math.isfinite(result.trend.scale) else None
+    rows = []
+    for setting in result.settings:
+        load = setting.load
+        if load is None:
+            rows.append((setting.name, notation.plain(None), notation.plain(None), "no offsets", notation.plain(None)))
+            continue
+        mass = interval_of(load.mass_kg, load.mass_std_kg)
+        com = " ".join(notation.rounded(MRAD * value) for value in load.com_m)
+        rows.append((setting.name, mass, com, load.source, load.inertia_source))
     return page(
         "follow.html.j2",
         Head(f"Feedforward: {result.robot}", "Feedforward report", about),
@@ -43,8 +50,18 @@ def render_follow(result: FollowResult) -> str:
         headline=headline(result),
         figures=figure_rows(result),
         axis_names=[notation.axis(axis + 1) for axis in _axes(result)],
-        fed=_fed(result),
-        sources=_sources(result),
+        fed=rows,
+        sources=[
+            (
+                notation.axis(joint),
+                axis.rotor_inertia,
+                axis.gear_losses,
+                axis.coulomb,
+                axis.viscous,
+                axis.velocity_share,
+            )
+            for joint, axis in enumerate(result.model.axes, start=1)
+        ],
         drive_rows=[] if result.origin is None else drive_rows(result.origin.drives),
         bars=_bars(result),
         curves=_curves(result),
@@ -74,7 +91,11 @@ def figure_rows(result: FollowResult) -> list[tuple[str, list[tuple[str, str, li
         (
             said,
             [
-                (setting.name, NAMES.get(setting.name, setting.name), _numbers(getattr(setting, key), factor))
+                (
+                    setting.name,
+                    NAMES.get(setting.name, setting.name),
+                    [notation.rounded(factor * value) for value in getattr(setting, key)],
+                )
                 for setting in result.settings
             ],
         )
@@ -82,35 +103,9 @@ def figure_rows(result: FollowResult) -> list[tuple[str, list[tuple[str, str, li
     ]
 
 
-def _numbers(values: Sequence[float], factor: float) -> list[str]:
-    return [notation.rounded(factor * value) for value in values]
-
-
-def _fed(result: FollowResult) -> list[tuple[str, ...]]:
-    """Return the load used by each setting."""
-    rows = []
-    for setting in result.settings:
-        load = setting.load
-        if load is None:
-            rows.append((setting.name, notation.plain(None), notation.plain(None), "no offsets", notation.plain(None)))
-            continue
-        mass = interval_of(load.mass_kg, load.mass_std_kg)
-        com = " ".join(notation.rounded(MRAD * value) for value in load.com_m)
-        rows.append((setting.name, mass, com, load.source, load.inertia_source))
-    return rows
-
-
 def interval_of(value: float, std: float) -> str:
     """Format a number with its 95 % interval, if known."""
     return f"{with_interval(value, std)} ({SAID})" if std > 0 else notation.rounded(value)
-
-
-def _sources(result: FollowResult) -> list[tuple[str, ...]]:
-    """Return the source of the terms of each axis."""
-    return [
-        (notation.axis(joint), axis.rotor_inertia, axis.gear_losses, axis.coulomb, axis.viscous, axis.velocity_share)
-        for joint, axis in enumerate(result.model.axes, start=1)
-    ]
 
 
 def _axes(result: FollowResult) -> range:
@@ -128,10 +123,7 @@ def _bars(result: FollowResult) -> Markup:
     low, high = math.floor(low_log), math.ceil(high_log)
     high = max(high, low + 1)
     panel = Panel(720.0, 230.0, (0.4, len(axes) + 0.6), (float(low), float(high)))
-    for power in range(low, high + 1):
-        panel.segment((panel.x_range[0], power), (panel.x_range[1], power), "grid")
-        panel.text(panel.left - 6, panel.y(power) + 3.5, f"{10.0**power:g}", "tick end")
-    panel.y_label("peak following error [mrad]")
+    panel.y_axis("peak following error [mrad]", log=True)
     for axis in axes:
         panel.text(panel.x(axis + 1.0), panel.height - panel.bottom + 16, notation.axis(axis + 1), "tick mid")
         for place, (setting, row) in enumerate(zip(result.settings, logs, strict=True)):
@@ -170,33 +162,36 @@ def _errors(curves: Sequence[ErrorCurve], axis: int) -> list[float]:
 
 
 def _error_panel(curves: dict[str, ErrorCurve], axis: int, scale: tuple[float, float]) -> Markup:
-    panel = Panel(WIDTH, HEIGHT, (0.0, max(curve.time_s[-1] for curve in curves.values())), scale)
-    panel.y_axis(f"{notation.axis(axis + 1)} error [mrad]")
-    panel.x_axis("time [s]")
-    for name, curve in curves.items():
-        panel.polyline(list(zip(curve.time_s, _errors([curve], axis), strict=True)), f"trace {name}")
     shown = " and ".join(NAMES.get(name, name) for name in curves)
-    return panel.svg(f"Following error of axis {axis + 1} over time, {shown}")
+    return line_chart(
+        f"Following error of axis {axis + 1} over time, {shown}",
+        ("time [s]", f"{notation.axis(axis + 1)} error [mrad]"),
+        [(curve.time_s, _errors([curve], axis), f"trace {name}") for name, curve in curves.items()],
+        x_range=(0.0, max(curve.time_s[-1] for curve in curves.values())),
+        y_range=scale,
+    )
 
 
 def _torque(curve: TorqueCurve) -> tuple[str, Markup]:
-    panel = Panel(470.0, 200.0, (0.0, curve.time_s[-1]), limits([*curve.measured_nm, *curve.offset_nm]))
-    panel.y_axis("motor torque [Nm]")
-    panel.x_axis("time [s]")
-    for values, kind in ((curve.measured_nm, "model-line"), (curve.offset_nm, "trace identified")):
-        panel.polyline(list(zip(curve.time_s, values, strict=True)), kind)
     name = notation.axis(curve.axis)
-    return name, panel.svg(f"Torque of {name}: measured, and torque offset")
+    return name, line_chart(
+        f"Torque of {name}: measured, and torque offset",
+        ("time [s]", "motor torque [Nm]"),
+        [(curve.time_s, curve.measured_nm, "model-line"), (curve.time_s, curve.offset_nm, "trace identified")],
+        x_range=(0.0, curve.time_s[-1]),
+        size=(470.0, 200.0),
+    )
 
 
 def _cloud(cloud: TrendCloud, slope: float) -> tuple[str, Markup]:
     """Draw the residual over the feedforward torque of the load, with its trend."""
-    panel = Panel(470.0, 230.0, limits(cloud.load_nm), limits(cloud.residual_nm, include=(0.0,)))
-    panel.y_axis("residual [Nm]")
-    panel.x_axis("feedforward torque of the load [Nm]")
-    for load, residual in zip(cloud.load_nm, cloud.residual_nm, strict=True):
-        panel.dot(load, residual, "cloud", radius=2.2)
-    low, high = min(cloud.load_nm), max(cloud.load_nm)
-    panel.segment((low, slope * low), (high, slope * high), "trend-line")
-    name = notation.axis(cloud.axis)
-    return name, panel.svg(f"Torque residual of {name} over the feedforward torque of the load, with the trend")
+    name, ends = notation.axis(cloud.axis), (min(cloud.load_nm), max(cloud.load_nm))
+    return name, line_chart(
+        f"Torque residual of {name} over the feedforward torque of the load, with the trend",
+        ("feedforward torque of the load [Nm]", "residual [Nm]"),
+        [(ends, [slope * end for end in ends], "trend-line")],
+        dots=[(cloud.load_nm, cloud.residual_nm, "cloud", 2.2, "")],
+        x_range=limits(cloud.load_nm),
+        y_range=limits(cloud.residual_nm, include=(0.0,)),
+        size=(470.0, 230.0),
+    )

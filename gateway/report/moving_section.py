@@ -1,4 +1,7 @@
-"""Values of a moving identification: inertia of the load, friction over speed, rotors, delays, one period of a run."""
+"""Values and figures of a moving identification.
+
+Inertia of the load, friction over speed, rotors, delays, one period of a run.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gateway.identify.motion.stretches import Stretches
 from gateway.report import notation
+from gateway.report.svg import limits, line_chart
 from gateway.result.inertia import COLUMN, ROW, tensor_of
-from gateway.result.interval import half_width
-from gateway.result.numerals import interval_text, with_interval
+from gateway.result.numerals import half_width, interval_text, with_interval
 from gateway.result.result import AxisMotion, LoadResult, Result, Rows
 
 Floats = NDArray[np.float64]
@@ -129,15 +133,15 @@ def _text(value: float, std: float) -> str:
 
 def friction_nm(axis: AxisMotion, speed_rad_s: Floats) -> Floats:
     """Return the friction (n,) [Nm] at speeds (n,) >= 0, without load torque."""
-    return axis.coulomb_nm + _known(axis.viscous_nm_s_rad) * speed_rad_s + _rise(axis) * _onset(axis, speed_rad_s)
+    return (
+        axis.coulomb_nm
+        + _known(axis.viscous_nm_s_rad) * speed_rad_s
+        + _known(axis.breakaway_nm - axis.coulomb_nm) * _onset(axis, speed_rad_s)
+    )
 
 
 def _known(value: float) -> float:
     return value if notation.known(value) else 0.0
-
-
-def _rise(axis: AxisMotion) -> float:
-    return _known(axis.breakaway_nm - axis.coulomb_nm)
 
 
 def _onset(axis: AxisMotion, speed_rad_s: Floats) -> Floats:
@@ -154,7 +158,23 @@ def friction_views(result: Result) -> list[FrictionView]:
     for axis in sorted(result.motion, key=lambda one: one.joint):
         fastest = _fastest(axis, measured)
         if notation.known(axis.coulomb_nm) and fastest > 0.0:
-            views.append(_friction(axis, fastest, measured))
+            speed = np.linspace(0.0, fastest, CURVE_POINTS)
+            torque, left = friction_nm(axis, speed), _onset(axis, speed)
+            shares = (
+                ((1.0 - left) * axis.coulomb_std_nm) ** 2,
+                (left * _known(axis.breakaway_std_nm)) ** 2,
+                (speed * _known(axis.viscous_std_nm_s_rad)) ** 2,
+            )
+            half = half_width_of(np.sqrt(np.sum(shares, axis=0)))
+            views.append(
+                FrictionView(
+                    joint=axis.joint,
+                    speed_rad_s=tuple(speed.tolist()),
+                    torque_nm=tuple(torque.tolist()),
+                    half_nm=tuple(half.tolist()) if np.isfinite(half).all() else (),
+                    points=_points(axis, fastest, measured),
+                )
+            )
     return views
 
 
@@ -163,24 +183,6 @@ def _fastest(axis: AxisMotion, runs: Sequence[DrawnPeriod]) -> float:
         return axis.speed_rad_s
     speeds = [np.abs(_speed(run)[:, axis.joint - 1]).max() for run in runs if axis.joint <= run.q_rad.shape[1]]
     return float(max(speeds, default=0.0))
-
-
-def _friction(axis: AxisMotion, fastest: float, runs: Sequence[DrawnPeriod]) -> FrictionView:
-    speed = np.linspace(0.0, fastest, CURVE_POINTS)
-    torque, left = friction_nm(axis, speed), _onset(axis, speed)
-    shares = (
-        ((1.0 - left) * axis.coulomb_std_nm) ** 2,
-        (left * _known(axis.breakaway_std_nm)) ** 2,
-        (speed * _known(axis.viscous_std_nm_s_rad)) ** 2,
-    )
-    half = half_width_of(np.sqrt(np.sum(shares, axis=0)))
-    return FrictionView(
-        joint=axis.joint,
-        speed_rad_s=tuple(speed.tolist()),
-        torque_nm=tuple(torque.tolist()),
-        half_nm=tuple(half.tolist()) if np.isfinite(half).all() else (),
-        points=_points(axis, fastest, runs),
-    )
 
 
 def _points(axis: AxisMotion, fastest: float, runs: Sequence[DrawnPeriod]) -> tuple[tuple[float, float], ...]:
@@ -240,3 +242,65 @@ def _moving_runs(rows: Rows | None) -> list[DrawnPeriod]:
 def _speed(run: DrawnPeriod) -> Floats:
     """Return speeds (n, N) [rad/s] from differences."""
     return np.asarray(np.gradient(run.q_rad, run.time_s, axis=0))
+
+
+LEFT_PX = 52.0
+
+
+def sliding_figure(view: FrictionView) -> tuple[str, Markup]:
+    """Draw friction over speed in both directions, with its 95 % band and measured samples."""
+    half = view.half_nm or (0.0,) * len(view.torque_nm)
+    top = [value + more for value, more in zip(view.torque_nm, half, strict=True)]
+    fastest, name = view.speed_rad_s[-1], notation.axis(view.joint)
+    lines, bands = [], []
+    for sense in (-1.0, 1.0):
+        speed, torque = ([sense * value for value in values] for values in (view.speed_rad_s, view.torque_nm))
+        lines.append((speed, torque, "curve"))
+        if view.half_nm:
+            low, high = (
+                [value + sense * side * more for value, more in zip(torque, half, strict=True)] for side in (-1.0, 1.0)
+            )
+            bands.append((speed, low, high, "confidence"))
+    xs, ys = [x for x, _ in view.points], [y for _, y in view.points]
+    return "", line_chart(
+        f"Friction of {name} over its speed",
+        ("joint speed [rad/s]", f"{name} friction [Nm]"),
+        lines,
+        dots=[(xs, ys, "dot faint", 1.8, "")],
+        bands=bands,
+        x_range=limits((-fastest, fastest, *xs), pad=0.03),
+        y_range=limits([*top, *(-value for value in top), *ys], include=(0.0,)),
+        size=(330.0, 200.0),
+        left=LEFT_PX,
+    )
+
+
+def period_figures(period: DrawnPeriod) -> list[list[tuple[str, Markup]]]:
+    """Draw for each measured axis over time: position, torque with model, residual.
+
+    Curves are interrupted while the axis is still: torque at standstill is not modelled.
+    """
+    time_s, rows = period.time_s.tolist(), []
+
+    def chart(describe: str, label: str, values: Floats, kind: str, measured: Floats | None = None) -> Markup:
+        dots = [] if measured is None else [(time_s, measured.tolist(), "dot faint", 1.8, "")]
+        lines = [(time_s, values.tolist(), kind)]
+        labels = ("time in the period [s]", label)
+        return line_chart(describe, labels, lines, dots=dots, left=LEFT_PX)
+
+    for axis in period.joints:
+        name, measured, model = notation.axis(axis + 1), period.tau_nm[:, axis], period.model_nm[:, axis]
+        degrees, left = period.q_rad[:, axis] * (180.0 / math.pi), measured - model
+        charts = (
+            chart(f"Position of {name} over one period", f"{name} position [deg]", degrees, "curve"),
+            chart(
+                f"Torque of {name} over one period, measured and modelled",
+                f"{name} torque [Nm]",
+                model,
+                "model-line",
+                measured,
+            ),
+            chart(f"Measured minus modelled torque of {name} over one period", f"{name} residual [Nm]", left, "force"),
+        )
+        rows.append([("", one) for one in charts])
+    return rows

@@ -133,21 +133,35 @@ def render_pair(cell: str, bound: Limited, runs: Sequence[PairRunResult], origin
     """
     views = [_view(run, bound.what) for run in runs]
     several = [view for view in views if len(view.largest) > 1] or views
+    what, knots = bound.what, [[float(cycle.knots) for cycle in view.run.cycles] for view in several]
+    sizes = _per_cycle(
+        f"Largest {what.title.lower()} per cycle",
+        f"largest {what.error} [{what.unit}]",
+        [view.largest for view in several],
+        bound.limit if what.to_limit else None,
+    )
+    best = min(views, key=lambda view: view.largest[-1] if math.isfinite(view.largest[-1]) else math.inf)
+    size = f"{notation.plain(best.largest[-1], bound.what.digits)} {bound.what.unit}"
     return page(
         "pair.html.j2",
         Head("Two arms, one workpiece", "Two arms, one workpiece", (("cell", cell), *made(origin))),
         origin=origin,
-        what=bound.what,
+        what=what,
         status="good" if any(view.largest[-1] < bound.limit for view in views) else "bad",
-        headline=_headline(views, bound),
+        headline=f"{best.run.name}: largest {bound.what.error} {size} in the last cycle",
         limit=f"{bound.limit:g}",
         source=bound.source,
-        columns=_columns(bound.what),
+        columns=[
+            *("run", "description", "speed", "cycles"),
+            *(f"{which} cycle [{what.unit}]" for which in ("first", "last")),
+            *(("last cycle [Nm]",) if what is FORCE else ()),
+            *("learning points", "within the limit"),
+        ],
         table=[_row(view, bound) for view in views],
         along=[(_caption(view, bound), _along(view, bound)) for view in views],
         convergence=[
-            (f"Largest {bound.what.of_what} per cycle", _convergence(several, bound)),
-            ("Learning points per cycle", _knots(several)),
+            (f"Largest {what.of_what} per cycle", sizes),
+            ("Learning points per cycle", _per_cycle("Learning points per cycle", "learning points [number]", knots)),
         ],
         key=[(f"c{place % COLOURS}", view.run.name) for place, view in enumerate(several)],
     )
@@ -158,19 +172,6 @@ def _view(run: PairRunResult, what: Quantity) -> RunView:
         [what.factor * value for value in values] for values in (what.first(run), what.last(run), what.part(run))
     )
     return RunView(run, (first, last), part, [what.factor * what.largest(cycle) for cycle in run.cycles])
-
-
-def _headline(views: Sequence[RunView], bound: Limited) -> str:
-    """Return the summary of the embodiment with the smallest final value."""
-    best = min(views, key=lambda view: view.largest[-1] if math.isfinite(view.largest[-1]) else math.inf)
-    size = f"{notation.plain(best.largest[-1], bound.what.digits)} {bound.what.unit}"
-    return f"{best.run.name}: largest {bound.what.error} {size} in the last cycle"
-
-
-def _columns(what: Quantity) -> list[str]:
-    moment = ["last cycle [Nm]"] if what is FORCE else []
-    cycles = [f"{which} cycle [{what.unit}]" for which in ("first", "last")]
-    return ["run", "description", "speed", "cycles", *cycles, *moment, "learning points", "within the limit"]
 
 
 def _row(view: RunView, bound: Limited) -> list[str]:
@@ -218,7 +219,7 @@ def _along(view: RunView, bound: Limited) -> Markup:
     panel.y_axis(what.axis)
     panel.x_axis(f"position along the path [m]; gripper X {min(x_mm):.0f} to {max(x_mm):.0f} mm")
     for side in sides if to_limit else ():
-        panel.segment((run.s_m[0], side), (run.s_m[-1], side), "limit")
+        panel.horizontal(side, "limit")
     first, last = view.along
     if len(run.cycles) > 1:
         panel.polyline(_thinned(run.s_m, first), "before-line")
@@ -243,30 +244,20 @@ def _thinned(x: Sequence[float], y: Sequence[float]) -> list[Point]:
     return [(x[row], y[row]) for row in sorted(rows)]
 
 
-def _convergence(views: Sequence[RunView], bound: Limited) -> Markup:
-    what = bound.what
-    panel = _per_cycle([view.largest for view in views], f"largest {what.error} [{what.unit}]")
-    if what.to_limit:
-        panel.segment((panel.x_range[0], bound.limit), (panel.x_range[1], bound.limit), "limit")
-    return panel.svg(f"Largest {what.title.lower()} per cycle")
-
-
-def _knots(views: Sequence[RunView]) -> Markup:
-    counts = [[float(cycle.knots) for cycle in view.run.cycles] for view in views]
-    return _per_cycle(counts, "learning points [number]").svg("Learning points per cycle")
-
-
-def _per_cycle(curves: Sequence[Sequence[float]], label: str) -> Panel:
-    """A curve per run over its cycles."""
+def _per_cycle(describe: str, label: str, curves: Sequence[Sequence[float]], limit: float | None = None) -> Markup:
+    """A curve per run over its cycles, and the limit of the quantity."""
     longest = max(map(len, curves), default=1)
-    every = [value for curve in curves for value in curve]
-    panel = Panel(WIDTH, HEIGHT, (0.5, longest + 0.5), limits(every, include=(0.0,)))
+    ends = (0.5, longest + 0.5)
+    panel = Panel(WIDTH, HEIGHT, ends, limits([value for curve in curves for value in curve], include=(0.0,)))
     panel.y_axis(label)
     panel.x_axis("cycle", min(5, longest))
     for place, curve in enumerate(curves):
         kind = f"c{place % COLOURS}"
-        points = [(float(cycle), value) for cycle, value in enumerate(curve, start=1) if math.isfinite(value)]
+        points = [(float(cycle), value) for cycle, value in enumerate(curve, start=1)]
         panel.polyline(points, f"trace {kind}")
         for x, y in points:
-            panel.dot(x, y, f"spot {kind}", radius=2.2)
-    return panel
+            if math.isfinite(y):
+                panel.dot(x, y, f"spot {kind}", radius=2.2)
+    if limit is not None:
+        panel.horizontal(limit, "limit")
+    return panel.svg(describe)

@@ -11,18 +11,16 @@ from markupsafe import Markup
 from gateway.model.effects import MISTAKES
 from gateway.report.notation import axes, effect, effect_on, listing, parameter_of
 from gateway.report.page import Head, page
-from gateway.report.svg import Panel
-from gateway.result.interval import half_width
-from gateway.result.numerals import significant
+from gateway.report.svg import row_panel
+from gateway.result.numerals import half_width, significant
 from gateway.result.origin import Origin
 
 #: Head of the table that `effect_cells` fills.
 COLUMNS: Final = ("effect", "on", "named from", "largest plausible", "strength (95 %)", "named in")
 #: Label of each case of the load.
 CASES: Final = {"as_stated": "constants as stated", "calibrated": "constants calibrated with a weighed load"}
-_WIDTH, _ROW, _MARGIN = 560.0, 30.0, 46.0
-#: Strengths with a label on the axis of the charts.
-_TICKS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
+#: Strengths on the charts, 0.5 to 200, as decades.
+_DECADES: Final = (math.log10(0.5), math.log10(200.0))
 
 
 def render_rehearsal(answer: Mapping[str, Any], origin: Origin) -> str:
@@ -99,14 +97,9 @@ def effect_chart(entries: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[st
     sized = [entry for entry in entries if "parameter" in entry]
     if not sized:
         return None
-    strengths, rows = (math.log10(_TICKS[0]), math.log10(_TICKS[-1])), (-0.5, len(sized) - 0.5)
-    panel = Panel(_WIDTH, _MARGIN + _ROW * len(sized), strengths, rows, left=64.0)
-    for tick in _TICKS:
-        panel.segment((math.log10(tick), -0.5), (math.log10(tick), len(sized) - 0.5), "grid")
-        panel.text(panel.x(math.log10(tick)), panel.height - 26, f"{tick:g}", "tick mid")
-    panel.x_label("strength [standard deviations]")
-    for row, entry in enumerate(reversed(sized)):
-        panel.text(panel.left - 8, panel.y(row) + 4, axes(entry["joints"]) or "all", "name end")
+    names = [axes(entry["joints"]) or "all" for entry in sized]
+    panel = row_panel(names, _DECADES, "strength [standard deviations]", size=(560.0, 30.0), left=64.0, log=True)
+    for row, entry in enumerate(sized):
         if entry["named"]:
             low, middle, high = map(_place, (entry["interval"][0], entry["detection_strength"], entry["interval"][1]))
             panel.box((low, high), (row - 0.3, row + 0.3), "confidence")
@@ -120,4 +113,4 @@ def effect_chart(entries: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[st
 
 
 def _place(strength: float) -> float:
-    return math.log10(min(max(strength, _TICKS[0]), _TICKS[-1]))
+    return min(max(math.log10(max(strength, 1e-9)), _DECADES[0]), _DECADES[1])

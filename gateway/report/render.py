@@ -8,15 +8,13 @@ from typing import Any
 
 from markupsafe import Markup
 
-from gateway.report import budget, evidence, figures, moving_figures, moving_section, notation, posture, space
-from gateway.report.centre import centre, earlier
+from gateway.report import budget, evidence, figures, load_figures, moving_section, notation, scene
 from gateway.report.page import Head, drive_rows, page
-from gateway.report.summary_text import formula_rows, formula_text
-from gateway.report.view import View, view
+from gateway.report.view import formula_rows, formula_text, view
 from gateway.result.acceptance import acceptance_findings
 from gateway.result.certificate import COVERAGE_FACTOR, NOT_TRACEABLE, CertifiedQuantity, certificate
-from gateway.result.drawn import FRESH, Curve, Drawn
-from gateway.result.result import EffectResult, Finding, Result, to_dict
+from gateway.result.drawn import FRESH, Drawn
+from gateway.result.result import Result, to_dict
 from gateway.result.values import Matrix
 
 #: Integers up to this value are written in full.
@@ -27,22 +25,87 @@ def render(result: Result) -> str:
     """Return the HTML report of a result; missing parts are omitted."""
     shown, data = view(result), result.data or Drawn()
     about = (("robot", result.robot), ("cell", data.cell), ("arm", data.arm), ("", data.created), ("", data.software))
+    stated = set(acceptance_findings(result.acceptance))
+    found = [finding for finding in result.findings if finding.severity != "info" and finding not in stated]
+    after = "after, held out" if shown["has_before"] else "held out" if shown["held_out"] else "residual"
+    rows = [("before, held out", "before")] if shown["has_before"] else []
+    rows += [(after, "after"), ("in the fit", "fit"), ("noise floor", "floor"), ("friction band", "band")]
+    classes = figures.load_classes(result)
+    drawn = scene.pose_figures(data.poses, classes)
+    com: list[tuple[str, list[tuple[str, Markup]]]] = []
+    for load in result.loads:
+        now, before = load_figures.centre(load, result), load_figures.earlier(result, load)
+        if now is not None and now.known:
+            was = None if before is None else load_figures.centre(before)
+            com.append((load.label, load_figures.com_figures(now, was)))
+    # the curve of each effect, by its index
+    curves: dict[int, Markup] = {}
+    for place, effect in enumerate(result.effects):
+        joints = (*effect.joints, None)
+        fitting = (curve for curve in data.curves if curve.name == effect.name)
+        match = next((curve for curve in fitting if not effect.joints or curve.joint in joints), None)
+        if match is not None:
+            curves[place] = evidence.curve_figure(match)
+    swatches = {label: kind.replace("load-", "b") for label, kind in classes.items()}
+    period = moving_section.period_of(result)
+    measured = dict.fromkeys(() if result.rows is None else result.rows.load)
     return page(
         "report.html.j2",
         Head(f"Load identification: {result.robot}", "Load identification report", about),
         result=result,
         data=data,
         view=shown,
-        residual_known=any(notation.known(axis.fit) or notation.known(axis.after) for axis in shown.axes),
-        residual_rows=_residual_rows(shown),
+        residual_known=any(notation.known(axis.fit) or notation.known(axis.after) for axis in shown["axes"]),
+        residual_rows=[
+            (said, [notation.significant(getattr(axis, name)) for axis in shown["axes"]]) for said, name in rows
+        ],
         posed=_posed,
         cellular=_cellular,
-        first=_first(result),
+        first=sorted(found, key=lambda finding: finding.severity),
         notes=[finding for finding in result.findings if finding.severity == "info"],
         checksum=result.sha256 or to_dict(result)["sha256"],
         **_certificate(result),
-        **_figures(result, data, shown),
-        **_tables(result, data),
+        **{
+            "quality": evidence.quality_figure(shown["axes"]),
+            "per_pose": evidence.per_pose_figure(result, classes),
+            "change": load_figures.load_change_figure(result),
+            "posture": figures.posture_figures(result),
+            "budget_picture": budget.budget_figure(result),
+            "evidence": evidence.evidence_figure(shown["candidates"]),
+            "formula": None if result.formula is None else evidence.formula_figure(result.formula),
+            "friction": evidence.friction_figure(result),
+            "more_candidates": max(0, len(shown["candidates"]) - evidence.MOST_CANDIDATES),
+            "curves": curves,
+            "first_curve": next(iter(curves.values()), None),
+            "friction_curves": [moving_section.sliding_figure(one) for one in moving_section.friction_views(result)],
+            "period": period,
+            "period_panels": [] if period is None else moving_section.period_figures(period),
+            "load_words": notation.load,
+            "torque": figures.torque_figures(result),
+            "residual": figures.residual_figures(result),
+            "arms": drawn,
+            "more_poses": max(0, len(data.poses) - len(drawn)),
+            "com": com,
+            "side_views": {label: pictures[0][1] for label, pictures in com},
+            "flange": any(load.com_flange_m for load in result.loads),
+            "swatches": swatches,
+            "legend": [(notation.load(label), swatches[label]) for label in measured],
+        },
+        **{
+            "bus_columns": list(dict.fromkeys(name for row in data.bus for name in row)),
+            "provenance": _provenance(result.provenance),
+            "drive_rows": drive_rows(data.drives),
+            "budget_rows": budget.budget_rows(result),
+            "source_words": budget.SOURCE_WORDS,
+            "nuisances": budget.nuisance_rows(result),
+            "formula_text": "" if result.formula is None else formula_text(result.formula),
+            "formula_rows": [] if result.formula is None else formula_rows(result.formula),
+            "set_aside": budget.rejected_rows(result.set_aside),
+            "fresh": FRESH in data.role,
+            "open_question": result.verdict == "undecided",
+            "has_floor": any(map(notation.known, result.noise_floor_nm)),
+            "has_before_rows": bool(data.model_before_nm),
+        },
     )
 
 
@@ -65,101 +128,6 @@ def _certified(quantity: CertifiedQuantity) -> tuple[str, str, str, str, str]:
         return quantity.name, unit, "not determined", "", ""
     value, expanded = notation.plus_minus(factor * quantity.value, factor * quantity.expanded)
     return quantity.name, unit, value, expanded, f"{COVERAGE_FACTOR:g}"
-
-
-def _first(result: Result) -> list[Finding]:
-    """Return failures and contradicted statements for the top of the page; acceptance has separate lines."""
-    stated = set(acceptance_findings(result.acceptance))
-    found = [finding for finding in result.findings if finding.severity != "info" and finding not in stated]
-    return sorted(found, key=lambda finding: finding.severity)
-
-
-def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
-    classes = figures.load_classes(result)
-    drawn = space.pose_figures(data.poses, classes)
-    com, curves = _com(result), _curves(result.effects, data.curves)
-    period = moving_section.period_of(result)
-    measured = dict.fromkeys(() if result.rows is None else result.rows.load)
-    return {
-        "quality": evidence.quality_figure(shown.axes),
-        "per_pose": evidence.per_pose_figure(result, classes),
-        "change": posture.load_change_figure(result),
-        "posture": posture.posture_figures(result),
-        "budget_picture": budget.budget_figure(result),
-        "evidence": evidence.evidence_figure(shown.candidates),
-        "formula": None if result.formula is None else evidence.formula_figure(result.formula),
-        "friction": evidence.friction_figure(result),
-        "more_candidates": max(0, len(shown.candidates) - evidence.MOST_CANDIDATES),
-        "curves": curves,
-        "first_curve": next(iter(curves.values()), None),
-        "friction_curves": [moving_figures.sliding_figure(one) for one in moving_section.friction_views(result)],
-        "period": period,
-        "period_panels": [] if period is None else moving_figures.period_figures(period),
-        "load_words": notation.load,
-        "torque": figures.torque_figures(result),
-        "residual": figures.residual_figures(result),
-        "arms": drawn,
-        "more_poses": max(0, len(data.poses) - len(drawn)),
-        "com": com,
-        "side_views": {label: pictures[0][1] for label, pictures in com},
-        "flange": any(load.com_flange_m for load in result.loads),
-        "swatches": {label: _swatch(kind) for label, kind in classes.items()},
-        "legend": [(notation.load(label), _swatch(classes[label])) for label in measured],
-    }
-
-
-def _swatch(kind: str) -> str:
-    return kind.replace("load-", "b")
-
-
-def _com(result: Result) -> list[tuple[str, list[tuple[str, Markup]]]]:
-    """Return the figures of the centre of gravity of each load, if known."""
-    found = []
-    for load in result.loads:
-        shown, before = centre(load, result), earlier(result, load)
-        if shown is not None and shown.known:
-            found.append((load.label, space.com_figures(shown, None if before is None else centre(before))))
-    return found
-
-
-def _curves(effects: tuple[EffectResult, ...], curves: tuple[Curve, ...]) -> dict[int, Markup]:
-    """Return the curve of each effect, by its index in `effects`."""
-    drawn: dict[int, Markup] = {}
-    for place, effect in enumerate(effects):
-        match = next((curve for curve in curves if _belongs(curve, effect)), None)
-        if match is not None:
-            drawn[place] = evidence.curve_figure(match)
-    return drawn
-
-
-def _belongs(curve: Curve, effect: EffectResult) -> bool:
-    return curve.name == effect.name and (not effect.joints or curve.joint in (*effect.joints, None))
-
-
-def _tables(result: Result, data: Drawn) -> dict[str, Any]:
-    return {
-        "bus_columns": list(dict.fromkeys(name for row in data.bus for name in row)),
-        "provenance": _provenance(result.provenance),
-        "drive_rows": drive_rows(data.drives),
-        "budget_rows": budget.budget_rows(result),
-        "source_words": budget.SOURCE_WORDS,
-        "nuisances": budget.nuisance_rows(result),
-        "formula_text": "" if result.formula is None else formula_text(result.formula),
-        "formula_rows": [] if result.formula is None else formula_rows(result.formula),
-        "set_aside": budget.rejected_rows(result.set_aside),
-        "fresh": FRESH in data.role,
-        "open_question": result.verdict == "undecided",
-        "has_floor": any(map(notation.known, result.noise_floor_nm)),
-        "has_before_rows": bool(data.model_before_nm),
-    }
-
-
-def _residual_rows(shown: View) -> list[tuple[str, list[str]]]:
-    """Return the residual of each axis and its references."""
-    after = "after, held out" if shown.has_before else "held out" if shown.held_out else "residual"
-    rows = [("before, held out", "before")] if shown.has_before else []
-    rows += [(after, "after"), ("in the fit", "fit"), ("noise floor", "floor"), ("friction band", "band")]
-    return [(said, [notation.significant(getattr(axis, name)) for axis in shown.axes]) for said, name in rows]
 
 
 def _posed(poses_rad: Matrix) -> list[tuple[str, list[str]]]:

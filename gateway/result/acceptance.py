@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import InputError
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
-from gateway.result.interval import SAID, half_width, holds_zero
-from gateway.result.numerals import interval_text, significant, with_interval
+from gateway.result.numerals import SAID, half_width, holds_zero, interval_text, significant, with_interval
 from gateway.result.result import Acceptance, Finding, LoadResult, Outcome, Result
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from gateway.result.interval import TWO_SIDED_95
 from gateway.result.names import INERTIA_PARTS
+from gateway.result.numerals import TWO_SIDED_95
 from gateway.result.result import UNKNOWN_THREE, LoadResult, Result
 
 COVERAGE_FACTOR: Final = TWO_SIDED_95

@@ -16,6 +16,8 @@ Friction scatters from start to start by `START_SCATTER`, and one result is of o
 The prior of a torque constant is not changed by a service. Its value follows a true change only in part (`response`
 of the gain), so the limits are multiplied by that part. A constant whose standard deviation is above 0.9 of the prior's
 is not measured: cannot tell.
+
+`differences` compares a stored result file with one recomputed from the same data (`replay`).
 """
 
 from __future__ import annotations
@@ -59,6 +61,12 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "friction": {"%": 0.01, "Nm": 1.0},
 }
 EXAMPLE: Final = "such as mass=2%,com=5mm,constant=3%,friction=20%"
+#: Numbers that differ by no more, relative to the larger of 1 and the number, are equal: rounding of another computer.
+TOLERANCE: Final = 1e-9
+#: What is of the moment or of the program that computed it, not of the measurement.
+_OF_THE_MOMENT: Final = frozenset({"sha256", "truth", "data.created", "data.software"})
+#: Findings on a calibration speak of its age today.
+_OF_TODAY: Final = "calibration"
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,3 +370,49 @@ def sentence(found: ResultComparison) -> str:
     if found.verdict == UNCHANGED:
         return "unchanged within the uncertainty of both results"
     return f"cannot tell: the uncertainty of {len(open_) or len(found.quantities)} quantities is too large"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One differing value: key path, stored value, recomputed value; None if missing."""
+
+    where: str
+    stored: Any
+    again: Any
+
+
+def differences(stored: Mapping[str, Any], again: Mapping[str, Any]) -> tuple[Difference, ...]:
+    """Return every value of two result files that differs beyond `TOLERANCE`."""
+    return tuple(_differ("", _lasting(stored), _lasting(again)))
+
+
+def _lasting(plain: Mapping[str, Any]) -> dict[str, Any]:
+    findings = [item for item in plain.get("findings", ()) if _place(item) != _OF_TODAY]
+    return {**plain, "findings": findings}
+
+
+def _place(finding: Any) -> Any:
+    return finding.get("where") if isinstance(finding, Mapping) else None
+
+
+def _differ(where: str, stored: Any, again: Any) -> Iterator[Difference]:
+    if where in _OF_THE_MOMENT:
+        return
+    if isinstance(stored, Mapping) and isinstance(again, Mapping):
+        for key in dict.fromkeys((*stored, *again)):
+            yield from _differ(f"{where}.{key}" if where else str(key), stored.get(key), again.get(key))
+    elif _is_list(stored) and _is_list(again) and len(stored) == len(again):
+        for index, pair in enumerate(zip(stored, again, strict=True)):
+            yield from _differ(f"{where}[{index}]", *pair)
+    elif not _equal(stored, again):
+        yield Difference(where, stored, again)
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def _equal(stored: Any, again: Any) -> bool:
+    if any(isinstance(value, bool) or not isinstance(value, int | float) for value in (stored, again)):
+        return type(stored) is type(again) and stored == again
+    return math.isclose(stored, again, rel_tol=TOLERANCE, abs_tol=TOLERANCE)

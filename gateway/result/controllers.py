@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from gateway.result.export_load import INERTIA_NOTE, ExportLoad, accuracy, identifier, number_text
 from gateway.result.inertia import principal_axes, quaternion, zyx_degrees
-from gateway.result.interval import SAID, half_width
+from gateway.result.numerals import SAID, half_width
 
 if TYPE_CHECKING:
     from gateway.result.values import Numbers

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.result.interval import TWO_SIDED_95
 from gateway.result.names import SILENT
+from gateway.result.numerals import TWO_SIDED_95
 from gateway.result.origin import DriveOrigin
 from gateway.result.values import NAN, Matrix, Number, Numbers, Vector, check_lengths, numbers
 

@@ -15,8 +15,7 @@ from drives.profile import is_assumed
 from gateway.errors import ConfigError, DataUnusable
 from gateway.model.load_bounds import NO_ARM
 from gateway.result.inertia import Floats, has_a_body, tensor_of
-from gateway.result.interval import SAID, half_width, holds_zero
-from gateway.result.numerals import with_interval
+from gateway.result.numerals import SAID, half_width, holds_zero, with_interval
 
 if TYPE_CHECKING:
     from gateway.result.drawn import Drawn

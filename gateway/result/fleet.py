@@ -13,8 +13,8 @@ from typing import Final, Literal
 from drives.printable import one_line
 from gateway.errors import InputError
 from gateway.result.names import SILENT
+from gateway.result.origin import refuse_edited
 from gateway.result.result import Outcome
-from gateway.result.seal import refuse_edited
 from gateway.result.values import NAN, Number, Numbers, check_kind, check_lengths, decoded, json_object, text_of
 
 SCHEMA: Final = 1

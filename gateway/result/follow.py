@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from gateway.result.names import SILENT
 from gateway.result.origin import Origin
@@ -22,7 +21,6 @@ from gateway.result.values import (
     check_lengths,
     decoded,
     json_object,
-    text_of,
 )
 
 SCHEMA = 1
@@ -213,14 +211,3 @@ def follow_from_json(text: str, where: str) -> FollowResult:
     data = json_object(text, where)
     check_kind(data, SCHEMA, KIND, where)
     return decoded(FollowResult, data, where)
-
-
-def read_follow(path: Path) -> FollowResult:
-    """Read a `follow --json` file.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or as `follow_from_json`.
-    """
-    return follow_from_json(text_of(path, "name the JSON that `follow --json` wrote"), str(path))

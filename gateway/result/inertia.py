@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
@@ -17,7 +16,7 @@ ROW, COLUMN = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 ROUNDED = 1e-6
 
 
-def tensor_of(moments: Sequence[float]) -> Floats:
+def tensor_of(moments: ArrayLike) -> Floats:
     """Return the tensor (3, 3) of six moments, in the order of a result."""
     tensor = np.zeros((3, 3))
     tensor[ROW, COLUMN] = tensor[COLUMN, ROW] = moments

@@ -14,8 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from drives.printable import one_line
 from gateway.result.acceptance import PASS, acceptance_findings, asked_for, measured, not_hung
-from gateway.result.interval import SAID
-from gateway.result.numerals import with_interval
+from gateway.result.numerals import SAID, with_interval
 from gateway.result.result import Finding, Result
 
 NAME: Final = "servo-gateway"

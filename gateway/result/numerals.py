@@ -1,4 +1,9 @@
-"""Text of numbers with their uncertainty, equal on pages, in the terminal and in findings."""
+"""Text of numbers with their uncertainty, equal on pages, in the terminal and in findings.
+
+Every plus-minus is the half width of a 95 % interval. Files contain standard deviations. If the noise was estimated
+from few readings, these are already widened by the ratio of Student's quantile to the normal one. Therefore
+`TWO_SIDED_95` standard deviations cover the true value in 95 %.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +11,11 @@ import math
 import re
 from typing import Final
 
-from gateway.result.interval import PLUS_MINUS, half_width
-
+#: Two-sided 95 % quantile of the normal distribution.
+TWO_SIDED_95: Final = 1.96
+#: Text beside a number with a plus-minus.
+SAID: Final = "95 %"
+PLUS_MINUS: Final = "\N{PLUS-MINUS SIGN}"
 MINUS: Final = "\N{MINUS SIGN}"
 _SUPERSCRIPT: Final = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
 _TIMES_TEN: Final = "\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}10"
@@ -16,8 +24,6 @@ _TWO_DIGITS: Final = 100.0
 #: Powers of ten between which a number is written out.
 _LEAST_POWER: Final = -4
 _MOST_POWER: Final = 7
-
-
 _VALUE = r"[-\u2212]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 #: An angle in a sentence: `0.3 rad`, `-1 to 1 rad/s`, `[0.1, 0.2] rad`, `3.6 mrad`.
 _ANGLE: Final = re.compile(
@@ -26,6 +32,16 @@ _ANGLE: Final = re.compile(
 )
 #: Largest number taken for a joint angle [rad]: two turns.
 _FARTHEST_RAD: Final = 4 * math.pi
+
+
+def half_width(std: float) -> float:
+    """Return the half width of the 95 % interval for a standard deviation; NaN if it is unknown."""
+    return TWO_SIDED_95 * std
+
+
+def holds_zero(value: float, std: float) -> bool:
+    """Return whether the interval of a quantity contains 0; False if its uncertainty is unknown or zero."""
+    return math.isfinite(value) and math.isfinite(std) and std > 0 and abs(value) <= half_width(std)
 
 
 def with_degrees(text: str) -> str:

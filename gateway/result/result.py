@@ -21,7 +21,7 @@ from gateway.result.drawn import Drawn
 from gateway.result.finding import Finding
 from gateway.result.library import result_file
 from gateway.result.names import SILENT
-from gateway.result.seal import refuse_edited, sealed
+from gateway.result.origin import refuse_edited, sealed
 from gateway.result.values import (
     NAN,
     Matrix,

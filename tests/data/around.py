@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.model.capsule import Capsule
-from gateway.model.solid import solid_capsule
+from gateway.model.solid import Capsule, solid_capsule
 from gateway.motion.body import Body, body_of_parts
 from gateway.motion.clearance import BOX, space_between
 from gateway.motion.workspace import Workspace

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drives.values import DriveReading
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.motion.observer import Observed
 
 ENABLED = 0x1237

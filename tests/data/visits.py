@@ -12,8 +12,7 @@ from drives.scaling import Constants, motor_scale
 from gateway.cell.config import LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.recording.writer import ArmHeader, RecordingHeader, write_recording
-from gateway.data.rest_pose import RestPose
-from gateway.data.visit import NO_WORD, Visit
+from gateway.data.visit import NO_WORD, RestPose, Visit
 from gateway.model.arm_model import robot_text
 
 CELL = Path(__file__).parents[2] / "examples" / "small" / "cell.toml"

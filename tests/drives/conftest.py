@@ -10,7 +10,9 @@ import itertools
 import math
 import struct
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import can
 import pytest
@@ -93,6 +95,22 @@ class Wire:
         self._queue.clear()
 
 
+class Beside(Wire):
+    """A second wire under the clock of the first one."""
+
+    def __init__(self, first: Wire) -> None:
+        self._first = first
+        super().__init__()
+
+    @property
+    def now_s(self) -> float:
+        return self._first.now_s
+
+    @now_s.setter
+    def now_s(self, now_s: float) -> None:
+        self._first.now_s = max(now_s, self._first.now_s)
+
+
 def after_command(state: str, word: int) -> str:
     """State after a controlword (CiA 402-2, commands by their bits and the transitions they cause)."""
     if state == "fault":
@@ -132,6 +150,8 @@ class Slave:
         self.moves_in: dict[str, list[int]] = {}
         self.position_at_sync: list[int] = []
         self.controlwords: list[int] = []
+        #: Called after every SYNC.
+        self.at_sync: Callable[[], object] = lambda: None
         self.written: list[tuple[int, int, int]] = []
         #: Delay of TPDOs by SYNC number; None = lost.
         self.tpdo_delay_s: dict[int, float | None] = {}
@@ -266,6 +286,7 @@ class Slave:
             self._latched = data
         elif can_id == 0x080 and self.nmt == 5:
             self._sync()
+            self.at_sync()
         elif can_id == 0x700 | self.values[0x1016, 1] >> 16:
             self._master_s = self.wire.now_s
 
@@ -480,6 +501,15 @@ def setups(generic: DriveProfile) -> Callable[[int], list[AxisSetup]]:
         return [AxisSetup(node_id, generic, 0.5, 300.0) for node_id in range(1, number + 1)]
 
     return make
+
+
+@contextmanager
+def configured(*arguments: Any, **options: Any) -> Generator[DriveGroup]:
+    """Drives that are connected and configured; arguments as `DriveGroup`."""
+    with DriveGroup(*arguments, **options) as group:
+        group.connect()
+        group.configure()
+        yield group
 
 
 @pytest.fixture

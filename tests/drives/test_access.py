@@ -14,7 +14,7 @@ from drives.files import replace_file
 from drives.group import DriveGroup, GroupOptions
 from drives.ledger import LedgerEntry, WriteLedger
 from drives.objects import OBJECTS
-from tests.drives.conftest import Slave
+from tests.drives.conftest import Slave, configured
 
 MODE = OBJECTS["mode"]
 
@@ -130,9 +130,7 @@ def test_mapping_entries_that_do_not_exist_yet_were_nothing(bus, add_slaves, set
 
     slave.reply = reply
     before = {address: value for address, value in slave.values.items() if address[0] in (0x1A00, 0x1600)}
-    with DriveGroup(bus, setups(1), 0.004) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(1), 0.004) as group:
         assert group.enable().complete
         group.disable()
         group.restore()
@@ -161,9 +159,7 @@ def test_a_drive_that_supervises_sync_expects_what_comes(bus, make_slave, ledger
 
 def test_what_cannot_be_put_back_stays_in_the_ledger_and_is_named(bus, add_slaves, setups, tmp_path):
     slaves = add_slaves(2)
-    with DriveGroup(bus, setups(2), 0.004, options=GroupOptions(tmp_path / "ledger.json")) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(2), 0.004, options=GroupOptions(tmp_path / "ledger.json")) as group:
         slaves[1].refused[0x6060, 0] = 0x08000022
         with pytest.raises(SdoAbort, match="node 2:6060:00"):
             group.restore()
@@ -176,9 +172,7 @@ def test_what_cannot_be_put_back_stays_in_the_ledger_and_is_named(bus, add_slave
 
 def test_a_drive_that_stays_enabled_is_not_put_back(bus, add_slaves, setups):
     slaves = add_slaves(2)
-    with DriveGroup(bus, setups(2), 0.004) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(2), 0.004) as group:
         slaves[0].state = slaves[0].stuck_in = "operation enabled"
         written = len(slaves[0].written)
         with pytest.raises(SeveralFailures, match="node 1.*stays in OPERATION ENABLED.*emergency stop") as refused:
@@ -191,9 +185,7 @@ def test_a_drive_that_stays_enabled_is_not_put_back(bus, add_slaves, setups):
 
 def test_drives_that_do_not_answer_are_named_together(bus, add_slaves, setups):
     slaves = add_slaves(3)
-    with DriveGroup(bus, setups(3), 0.004) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(3), 0.004) as group:
         for slave in slaves[:2]:
             slave.alive = False
         with pytest.raises(SeveralFailures, match="nodes 1, 2:.*no SDO answer") as caught:

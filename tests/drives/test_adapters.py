@@ -19,7 +19,7 @@ from can.interfaces.vector.exceptions import VectorOperationError
 from drives.bus import Bus, BusSpec, open_bus
 from drives.drive import DriveCommand
 from drives.errors import BusError, BusOff, IncompleteEpochs
-from drives.group import DriveGroup
+from tests.drives.conftest import configured
 
 BACKENDS = ("socketcan", "pcan", "kvaser", "slcan", "vector", "ixxat")
 FAULTS = ("bus-off", "unplugged", "queue full", "error passive", "time-out", "stray")
@@ -176,9 +176,7 @@ def test_a_full_queue_of_a_controller_that_is_bus_off_is_named_bus_off(adapter, 
 def test_a_moving_arm_that_loses_its_adapter_ends_within_a_second(adapter, wire, add_slaves, setups, fault):
     add_slaves(6)
     bus = Bus(adapter, BusSpec(adapter.interface, "channel7"))
-    with DriveGroup(bus, setups(6), 0.01, "real") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), 0.01, "real") as group:
         group.enable()
 
         def lose():

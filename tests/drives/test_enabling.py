@@ -9,7 +9,7 @@ import pytest
 
 from drives.enabling import BRAKE_DROP_REVOLUTIONS
 from drives.errors import ConfigurationRefused, DriveFault, IncompleteEpochs, StopRequested, TransitionTimeout
-from drives.group import DriveGroup
+from tests.drives.conftest import configured
 
 PERIOD_S = 0.004
 TURN = 65536
@@ -23,9 +23,7 @@ def slaves(add_slaves):
 
 @pytest.fixture(params=["lockstep", "real"])
 def group(request, bus, slaves, setups):
-    with DriveGroup(bus, setups(3), PERIOD_S, request.param) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(3), PERIOD_S, request.param) as group:
         yield group
 
 
@@ -59,9 +57,7 @@ def mode_shown_when_enabled(request, bus, slaves, setups):
 
     for slave in slaves:
         slave.get = mode_of(slave, slave.get)
-    with DriveGroup(bus, setups(3), PERIOD_S, request.param) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(3), PERIOD_S, request.param) as group:
         yield group, delay_syncs
 
 
@@ -192,14 +188,11 @@ def test_an_axis_that_falls_back_is_not_led_up_again(group, slaves, place, below
 
 
 def test_an_axis_that_falls_back_while_the_brakes_open_ends_it(group, slaves):
-    real = slaves[1].on_frame
-
-    def on_frame(can_id, data):
-        real(can_id, data)
-        if can_id == 0x080 and slaves[1].controlwords.count(0x0F) == 6 and slaves[1].controlwords[-1] == 0x0F:
+    def falls_back():
+        if slaves[1].controlwords.count(0x0F) == 6 and slaves[1].controlwords[-1] == 0x0F:
             slaves[1].state = "switched on"
 
-    slaves[1].on_frame = on_frame
+    slaves[1].at_sync = falls_back
     with pytest.raises(DriveFault, match="node 2.*left OPERATION ENABLED"):
         group.enable()
     assert {slave.state for slave in slaves} == {OFF}

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from drives.bus import Bus, BusSpec
 from drives.drive import DriveCommand
 from drives.epoch import EpochCollector
-from drives.group import DriveGroup
+from tests.drives.conftest import configured
 
 
 @pytest.fixture
@@ -22,9 +22,7 @@ def slaves(add_slaves):
 
 @pytest.fixture
 def group(bus, slaves, setups):
-    with DriveGroup(bus, setups(3), 0.004) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(3), 0.004) as group:
         group.enable()
         yield group
 
@@ -81,9 +79,7 @@ def test_an_answer_that_comes_after_the_next_sync_contradicts_its_successor(grou
 def test_of_a_single_drive_too_an_answer_to_the_sync_before_is_not_accepted(bus, add_slaves, setups):
     """Nothing else comes with delay here: what stayed away itself is what is watched for."""
     slaves = add_slaves(1)
-    with DriveGroup(bus, setups(1), 0.004) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(1), 0.004) as group:
         group.enable()
         seen = slaves[0].sync_seen
         slaves[0].tpdo_delay_s |= {seen + 1: 0.0433, seen + 2: 0.0006}
@@ -269,9 +265,7 @@ def test_a_row_has_the_time_at_which_its_sync_left_a_full_transmit_queue(bus, sl
             state["since"] = None
         real(message, timeout)
 
-    with DriveGroup(bus, setups(3), 0.01, "real") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(3), 0.01, "real") as group:
         group.enable()
         for _ in range(5):
             group.hold()

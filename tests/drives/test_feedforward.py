@@ -13,6 +13,7 @@ from drives.group import DriveGroup, GroupOptions
 from drives.pdo import OFFSETS
 from drives.profile_file import load_profile, parse_profile
 from drives.values import AxisSetup
+from tests.drives.conftest import configured
 
 PERIOD_S = 0.004
 COUNT_RAD = 2 * math.pi / 65536
@@ -33,9 +34,7 @@ def slaves(add_slaves):
 @pytest.fixture
 def group(bus, slaves, generic):
     setups = [AxisSetup(node_id, generic, 0.5, MAX_RAD_S, offsets=tuple(OFFSETS)) for node_id in (1, 2)]
-    with DriveGroup(bus, setups, PERIOD_S) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups, PERIOD_S) as group:
         yield group
 
 
@@ -51,9 +50,7 @@ def last_offsets(wire, node_id):
 
 
 def test_without_feedforward_the_second_rpdo_is_left_alone(bus, slaves, setups, wire):
-    with DriveGroup(bus, setups(2), PERIOD_S) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(2), PERIOD_S) as group:
         group.enable()
         for offsets, index in (({"torque_nm": 0.5}, "60B2"), ({"velocity_rad_s": 1.0}, "60B1")):
             with pytest.raises(CommandRefused, match=index):
@@ -111,22 +108,19 @@ def test_restore_takes_the_second_rpdo_back(group, slaves):
 def test_a_run_without_feedforward_clears_what_a_crashed_one_has_left(bus, slaves, generic, setups, tmp_path):
     options = GroupOptions(ledger_path=tmp_path / "ledger.json")
     fed = [AxisSetup(node_id, generic, 0.5, MAX_RAD_S, offsets=tuple(OFFSETS)) for node_id in (1, 2)]
-    with DriveGroup(bus, fed, PERIOD_S, options=options) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, fed, PERIOD_S, options=options):
+        pass
     slaves[1].values[0x60B1, 0] = 7000
     slaves[0].values[0x60B2, 0] = 70
-    with DriveGroup(bus, setups(2), PERIOD_S, options=options) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(2), PERIOD_S, options=options):
+        pass
     assert (slaves[1].values[0x60B1, 0], slaves[0].values[0x60B2, 0]) == (0, 0)
 
 
 def test_an_offset_that_another_tool_has_left_is_cleared(bus, slaves, setups):
     slaves[0].values[0x60B2, 0], slaves[1].values[0x60B1, 0] = 70, 7000
-    with DriveGroup(bus, setups(2), PERIOD_S) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(2), PERIOD_S):
+        pass
     assert (slaves[0].values[0x60B2, 0], slaves[1].values[0x60B1, 0]) == (0, 0)
 
 
@@ -158,9 +152,7 @@ def test_a_profile_that_cannot_do_what_it_says_is_refused(generic, old, new, mes
 
 
 def test_the_bus_load_counts_the_second_rpdo(group, bus, setups):
-    with DriveGroup(bus, setups(2), PERIOD_S) as plain:
-        plain.connect()
-        plain.configure()
+    with configured(bus, setups(2), PERIOD_S) as plain:
         difference = group.statistics.bus_load_planned_percent - plain.statistics.bus_load_planned_percent
     # two frames of 4 bytes, 95 bits each with worst stuffing, and two of 8 instead of 6 bytes, 20 bits more each
     assert difference == pytest.approx(100 * 2 * 115e-6 / PERIOD_S, rel=1e-6)

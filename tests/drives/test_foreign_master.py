@@ -7,6 +7,7 @@ import pytest
 from drives.discovery import FREE_S, refuse_foreign, scan
 from drives.errors import ForeignMaster
 from drives.group import DriveGroup
+from tests.drives.conftest import configured
 
 SYNC, START, UPLOAD, BEAT = (0x080, b""), (0x000, b"\x01\x00"), (0x603, bytes(8)), (0x77F, b"\x05")
 SAID = [
@@ -97,9 +98,7 @@ def test_a_master_that_appears_while_the_arm_waits_in_its_brakes_is_detected_bef
     bus, add_slaves, setups, wire
 ):
     slaves = add_slaves(2)
-    with DriveGroup(bus, setups(2), 0.01) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(2), 0.01) as group:
         group.enable()
         group.disable()
         wire.emit(*SYNC)

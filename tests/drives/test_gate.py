@@ -19,6 +19,7 @@ from drives.errors import (
 from drives.gate import ArmState
 from drives.group import DriveGroup
 from drives.values import AxisSetup
+from tests.drives.conftest import configured
 
 PERIOD_S = 0.01
 
@@ -37,9 +38,7 @@ def waiting(bus, slaves, generic, request):
     """A group that was under power and waits in its brakes, and what each drive was delivered with."""
     delivered = [dict(slave.values) for slave in slaves]
     setups = [AxisSetup(node_id, generic, 0.5, 300.0, torque_limit_nm=1.0) for node_id in (1, 2)]
-    with DriveGroup(bus, setups, PERIOD_S, request.param) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups, PERIOD_S, request.param) as group:
         for slave in slaves:
             slave.position = 400_000
         group.enable()

@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import math
 import shutil
+from dataclasses import replace
 
+import can
 import pytest
 
 from drives.drive import DriveCommand
@@ -31,6 +33,7 @@ from drives.errors import (
 from drives.group import DriveGroup, GroupOptions
 from drives.objects import OBJECTS
 from drives.values import AxisSetup
+from tests.drives.conftest import configured
 
 PERIOD_S = 0.004
 COUNT_RAD = 2 * math.pi / 65536
@@ -43,9 +46,7 @@ def slaves(add_slaves):
 
 @pytest.fixture
 def group(bus, slaves, setups):
-    with DriveGroup(bus, setups(6), PERIOD_S) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), PERIOD_S) as group:
         yield group
 
 
@@ -57,9 +58,7 @@ def targets(slaves, step=0):
 def test_by_the_clock_no_collection_looks_at_all_that_was_loaded(bus, slaves, setups, pacing, frozen):
     """A full collection takes 20 to 40 ms; what has been loaded before is out of its sight until the bus is closed."""
     gc.unfreeze()
-    with DriveGroup(bus, setups(6), PERIOD_S, pacing) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), PERIOD_S, pacing) as group:
         group.enable()
         assert (gc.get_freeze_count() > 10_000) == frozen
     assert gc.get_freeze_count() == 0
@@ -89,13 +88,15 @@ def test_torque_and_current_follow_the_formula_of_the_standard(group, slaves):
 
 
 def test_the_drives_watch_the_master_from_before_the_first_command_until_after_the_last(group, slaves, wire):
-    group.enable()
-    assert {slave.values[0x1016, 1] for slave in slaves} == {127 << 16 | 500}
-    assert {slave.values[0x6007, 0] for slave in slaves} == {3}
-    ids = [can_id for can_id, _ in wire.sent]
-    assert ids.index(0x77F) < ids.index(0x201)
-    group.disable()
-    assert {slave.values[0x1016, 1] for slave in slaves} == {0}
+    for _ in range(2):
+        wire.sent.clear()
+        group.enable()
+        assert {slave.values[0x1016, 1] for slave in slaves} == {127 << 16 | 500}
+        assert {slave.values[0x6007, 0] for slave in slaves} == {3}
+        ids = [can_id for can_id, _ in wire.sent]
+        assert ids.index(0x77F) < ids.index(0x201)
+        group.disable()
+        assert {slave.values[0x1016, 1] for slave in slaves} == {0}
 
 
 def test_heartbeat_is_sent_often_enough_for_the_drives(group, slaves, wire):
@@ -127,9 +128,7 @@ def test_pdo_mapping_is_what_the_standard_objects_say(group, slaves):
 
 def test_what_is_right_already_is_not_written_again(bus, slaves, setups):
     for _ in range(2):
-        with DriveGroup(bus, setups(6), PERIOD_S) as group:
-            group.connect()
-            group.configure()
+        with configured(bus, setups(6), PERIOD_S):
             written = [list(slave.written) for slave in slaves]
             for slave in slaves:
                 slave.written.clear()
@@ -155,9 +154,7 @@ def test_restore_puts_back_what_was_there_also_after_a_crash(bus, slaves, setups
 
 def test_restore_leaves_the_successor_of_a_drive_alone(bus, slaves, setups, tmp_path):
     options = GroupOptions(ledger_path=tmp_path / "ledger.json")
-    with DriveGroup(bus, setups(6), PERIOD_S, options=options) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), PERIOD_S, options=options) as group:
         slaves[2].values[0x1018, 4] = 999
         slaves[2].written.clear()
         group.connect()
@@ -310,29 +307,13 @@ def test_another_master_is_refused_at_the_start(bus, slaves, setups, wire):
         group.connect()
 
 
-@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x203, 0x604])
-def test_another_master_in_a_run_stops_all_axes(group, slaves, wire, can_id):
-    group.enable()
-
-    def go_on():
-        for _ in range(100):
-            wire.emit(can_id, b"\x80\x00"[: 2 if can_id == 0 else 0])
-            group.hold()
-
-    with pytest.raises(ForeignMaster, match=f"{can_id:03X}"):
-        go_on()
-    assert {slave.state for slave in slaves} == {"quick stop"}
-
-
 @pytest.mark.parametrize(("can_id", "frames"), [(0x000, 1), (0x080, 1), (0x203, 3), (0x604, 3)])
 @pytest.mark.parametrize("echo", [False, True])
 def test_the_first_sync_or_nmt_frame_of_another_master_stops(bus, slaves, setups, wire, can_id, frames, echo):
     """Whatever the SYNC index: it is reported at the very SYNC after which it is there."""
     wire.echo = bus.echoes = echo
     for offset in range(5):
-        with DriveGroup(bus, setups(6), PERIOD_S) as group:
-            group.connect()
-            group.configure()
+        with configured(bus, setups(6), PERIOD_S) as group:
             group.enable()
             for _ in range(offset):
                 group.hold()
@@ -342,13 +323,12 @@ def test_the_first_sync_or_nmt_frame_of_another_master_stops(bus, slaves, setups
             wire.emit(can_id, b"\x80\x55"[: 2 if can_id == 0 else 0])
             with pytest.raises(ForeignMaster, match=f"{can_id:03X}"):
                 group.hold()
+            assert {slave.state for slave in slaves} == {"quick stop"}
 
 
 def test_own_frames_that_come_back_are_no_other_master(bus, slaves, setups, wire):
     wire.echo = bus.echoes = True
-    with DriveGroup(bus, setups(6), PERIOD_S) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), PERIOD_S) as group:
         group.enable()
         for _ in range(100):
             group.hold()
@@ -412,20 +392,11 @@ def test_bus_off_in_a_run_is_an_error(group, slaves, wire):
 
 def test_targets_stay_inside_the_position_limits(bus, slaves, generic):
     setups = [AxisSetup(1, generic, 0.5, 300.0, position_limit_rad=(899.5 * COUNT_RAD, 1100.5 * COUNT_RAD))]
-    with DriveGroup(bus, setups, PERIOD_S) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups, PERIOD_S) as group:
         group.enable()
         group.exchange([DriveCommand(1100 * COUNT_RAD)])
         with pytest.raises(CommandRefused, match=r"1101 counts is outside 900 \.\. 1100"):
             group.exchange([DriveCommand(1101 * COUNT_RAD)])
-
-
-def test_axes_are_armed_whenever_they_are_enabled(group, slaves):
-    for _ in range(2):
-        group.enable()
-        assert {slave.values[0x1016, 1] for slave in slaves} == {127 << 16 | 500}
-        group.disable()
 
 
 def test_a_drive_enabled_by_another_master_is_not_configured(bus, slaves, setups):
@@ -474,11 +445,26 @@ def test_rated_values_of_zero_and_a_resolution_of_one_count_are_refused(bus, sla
             group.configure()
 
 
+def test_leaving_without_an_adapter_is_one_error_with_the_last_state_of_each_drive(group, wire):
+    def gone(*_arguments, **_named):
+        raise can.CanOperationError("Network is down")
+
+    group.enable()
+    group.hold()
+    wire.send = wire.recv = gone
+    with pytest.raises(BusError) as caught:
+        group.close()
+    assert str(caught.value).count("Network is down") == 1
+    (note,) = caught.value.__notes__
+    assert "emergency stop" in note
+    assert note.count("OPERATION ENABLED") == 6
+
+
 def test_node_ids_must_differ_also_from_the_masters(bus, setups):
     with pytest.raises(ConfigurationRefused):
         DriveGroup(bus, [*setups(2), *setups(1)], PERIOD_S)
     with pytest.raises(ConfigurationRefused):
-        DriveGroup(bus, setups(2), PERIOD_S, master_node_id=2)
+        DriveGroup(bus, [replace(setups(1)[0], node_id=127)], PERIOD_S)
     with pytest.raises(ConfigurationRefused):
         DriveGroup(bus, [], PERIOD_S)
 

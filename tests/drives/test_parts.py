@@ -25,6 +25,7 @@ from drives.profile_file import list_profiles, load_profile
 from drives.reactions import DRIVE_RULES
 from drives.statistics import quantile
 from drives.values import Identity
+from tests.drives.conftest import configured
 
 # -- bus load ---------------------------------------------------------------------------------------------------------
 
@@ -50,9 +51,7 @@ def test_a_rate_that_does_not_fit_is_refused_with_the_one_that_does(bus, add_sla
         group.connect()
         with pytest.raises(BusOverload, match=f"{bits / 20:.0f} %.*0.0033"):
             group.configure()
-    with DriveGroup(bus, setups(6), 0.002, "lockstep") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), 0.002, "lockstep") as group:
         assert group.statistics.bus_load_planned_percent == pytest.approx(bits / 20)
 
 
@@ -235,7 +234,7 @@ def test_a_boot_up_is_kept_until_it_is_forgiven(bus, wire):
 
 def test_the_masters_heartbeat_is_due_by_sync_time_or_by_the_clock(bus, wire):
     sync_time_s = [0.0]
-    producer = HeartbeatProducer(bus, 127, 0.4, lambda: sync_time_s[0])
+    producer = HeartbeatProducer(bus, 0.4, lambda: sync_time_s[0])
     producer.tick()
     assert wire.sent == []
     producer.start()
@@ -386,9 +385,7 @@ def test_the_clock_goes_on_from_the_syncs_of_another_one(bus, wire):
 
 def test_in_real_time_an_axis_that_does_not_respond_does_not_block_the_others(bus, add_slaves, setups, wire):
     slaves = add_slaves(3)
-    with DriveGroup(bus, setups(3), 0.004, "real") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(3), 0.004, "real") as group:
         group.enable()
         slaves[1].tpdo_delay_s[slaves[1].sync_seen + 1] = 0.0038
         epochs = [group.hold() for _ in range(4)]

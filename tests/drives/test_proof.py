@@ -11,7 +11,7 @@ from drives.drive import DriveCommand
 from drives.errors import ConfigurationRefused, DriveError, DriveFault, TransitionTimeout
 from drives.group import DriveGroup
 from drives.values import AxisSetup
-from tests.drives.conftest import Slave, Wire, prove_quick_stop, release, stop_responding
+from tests.drives.conftest import Slave, Wire, configured, prove_quick_stop, release, stop_responding
 
 PERIOD_S = 0.01
 COUNT_RAD = 2 * math.pi / 65536
@@ -32,9 +32,7 @@ def slaves(add_slaves: Callable[[int], list[Slave]]) -> list[Slave]:
 @pytest.fixture
 def group(bus: object, slaves: list[Slave], setups: Callable[[int], list[AxisSetup]]) -> Iterator[DriveGroup]:
     """In real time: that is what the drives supervise by."""
-    with DriveGroup(bus, setups(3), PERIOD_S, "real") as group:  # type: ignore[arg-type]
-        group.connect()
-        group.configure()
+    with configured(bus, setups(3), PERIOD_S, "real") as group:
         group.enable()
         yield group
 
@@ -127,14 +125,7 @@ def test_a_drive_that_goes_on_at_the_speed_of_the_proof_did_not_stand(group, sla
 def test_a_drive_that_leaves_the_bus_as_well_is_asked_by_sdo(group, slaves):
     """Error behaviour 0x1029: a missing heartbeat may end NMT state OPERATIONAL too, and the answers to SYNC."""
     slave = slaves[1]
-    plain = slave.on_frame
-
-    def on_frame(can_id: int, data: bytes) -> None:
-        plain(can_id, data)
-        if can_id == 0x080 and slave.state == "quick stop":
-            slave.nmt = 127
-
-    slave.on_frame = on_frame  # type: ignore[method-assign]
+    slave.at_sync = lambda: slave.state == "quick stop" and setattr(slave, "nmt", 127)
     trace = stop_responding(group, rows(slaves, 10))[1]
     assert (trace.stood, str(trace.state)) == (True, "QUICK STOP ACTIVE")
     assert trace.left_s is not None

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from drives.errors import DriveFault, ProfileError
-from drives.group import DriveGroup
 from drives.profile_file import parse_profile, profile_schema
 from drives.values import AxisSetup
+from tests.drives.conftest import configured
 
 SAFETY = """
 [[safety]]
@@ -49,9 +49,7 @@ def test_a_drive_is_enabled_only_while_its_safety_chain_is_closed(bus, make_slav
     addresses = (((0x2600, 1), "u16"), ((0x60FD, 0), "u32"), ((0x2601, 0), "u8"))
     for (address, kind), value in zip(addresses, values, strict=True):
         slave.types[address], slave.values[address] = kind, value
-    with DriveGroup(bus, [AxisSetup(1, with_safety(generic), 0.5, 300.0)], 0.004) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, [AxisSetup(1, with_safety(generic), 0.5, 300.0)], 0.004) as group:
         faults = group.drives[0].safety_faults()
         assert len(faults) == len(said)
         assert all(text in fault for text, fault in zip(said, faults, strict=True))

@@ -12,26 +12,10 @@ from drives.bus import Bus, BusSpec
 from drives.drive import DriveCommand
 from drives.errors import CommandRefused, DriveFault, MasterStalled
 from drives.group import DriveGroup
-from tests.drives.conftest import Slave, Wire
+from tests.drives.conftest import Beside, Slave, Wire
 
 PERIOD_S = 0.01
 COUNT_RAD = 2 * math.pi / 65536
-
-
-class Beside(Wire):
-    """A second wire under the clock of the first one."""
-
-    def __init__(self, first: Wire) -> None:
-        self._first = first
-        super().__init__()
-
-    @property
-    def now_s(self) -> float:
-        return self._first.now_s
-
-    @now_s.setter
-    def now_s(self, now_s: float) -> None:
-        self._first.now_s = max(now_s, self._first.now_s)
 
 
 @pytest.fixture

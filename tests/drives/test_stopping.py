@@ -28,7 +28,7 @@ from drives.reactions import DRIVE_RULES
 from drives.values import AxisSetup
 from gateway.data.disk import Disk
 from gateway.data.recording.bus_log import FrameLog
-from tests.drives.conftest import Slave, Wire, prove_quick_stop, release
+from tests.drives.conftest import Slave, Wire, configured, prove_quick_stop, release
 
 PERIOD_S = 0.01
 COUNT_RAD = 2 * math.pi / 65536
@@ -41,9 +41,7 @@ def slaves(add_slaves: Callable[[int], list[Slave]]) -> list[Slave]:
 
 
 def made(bus: object, setups: Callable[[int], list[AxisSetup]], pacing: str) -> Iterator[DriveGroup]:
-    with DriveGroup(bus, setups(6), PERIOD_S, pacing) as group:  # type: ignore[arg-type]
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), PERIOD_S, pacing) as group:
         group.enable()
         yield group
 
@@ -194,21 +192,13 @@ def test_the_voltage_stays_on_until_the_brake_has_had_its_time_to_close(bus, sla
     some = setups(6)
     machine = some[0].profile.state_machine.model_copy(update={"brake_closing_s": closing_s})
     some[2] = replace(some[2], profile=some[2].profile.model_copy(update={"state_machine": machine}))
-    with DriveGroup(bus, some, PERIOD_S, "lockstep") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, some, PERIOD_S, "lockstep") as group:
         group.enable()
         for _ in range(5):
             group.hold()
         states: list[str] = []
         slave = slaves[2]
-        plain = slave.on_frame
-
-        def on_frame(can_id: int, data: bytes) -> None:
-            plain(can_id, data)
-            states.extend([slave.state] * (can_id == SYNC))
-
-        slave.on_frame = on_frame  # type: ignore[method-assign]
+        slave.at_sync = lambda: states.append(slave.state)
         group.disable()
         assert states.count("switched on") in (syncs + 1, syncs + 2)  # its state is read one SYNC later
         assert slave.state == "switch on disabled"
@@ -262,9 +252,7 @@ def test_the_time_of_a_brake_that_was_never_opened_is_not_waited_for(bus, slaves
         asked.append(1)
         return slaves[2].state == "switched on"
 
-    with DriveGroup(bus, setups(6), PERIOD_S, "lockstep") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), PERIOD_S, "lockstep") as group:
         with pytest.raises(StopRequested):
             group.enable(stop_requested)
         words = slaves[2].controlwords
@@ -346,17 +334,10 @@ def test_the_heartbeat_ends_when_an_axis_stays_enabled_too_long(group, slaves, w
 def test_a_bus_that_fails_while_the_drop_is_monitored_ends_the_heartbeat(group, slaves, wire):
     for _ in range(5):
         group.hold()
-    plain = slaves[0].on_frame
-
-    def on_frame(can_id: int, data: bytes) -> None:
-        plain(can_id, data)
-        if can_id == SYNC and slaves[0].state == "switch on disabled":
-            wire.send_errors = 1 << 30
-
-    slaves[0].on_frame = on_frame  # type: ignore[method-assign]
+    slaves[0].at_sync = lambda: slaves[0].state == "switch on disabled" and setattr(wire, "send_errors", 1 << 30)
     with pytest.raises(DriveError, match="could not be sent"):
         group.disable()
-    slaves[0].on_frame, wire.send_errors = plain, 0  # type: ignore[method-assign]
+    wire.send_errors = 0
     beats = len(beats_s(wire))
     group.bus.listen(1.0)
     assert len(beats_s(wire)) == beats
@@ -445,9 +426,7 @@ def test_without_sync_a_drive_is_disabled_by_sdo_once_its_standstill_was_read(bu
     """The adapter refuses SYNC while the axis moves; SDO works."""
     slave = Decelerating(wire, 1)
     wire.slaves.append(slave)
-    with DriveGroup(bus, setups(1), 0.01, "real") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(1), 0.01, "real") as group:
         slave.speed_rad_s = 0.0
         group.enable()
         slave.speed_rad_s = 50.0
@@ -504,9 +483,7 @@ def test_a_bus_that_is_dead_at_the_end_is_counted_and_no_error(group, wire):
 @pytest.mark.parametrize("error", [DriveError("first"), ValueError("first")])
 def test_what_goes_wrong_while_closing_is_added_to_the_error_that_led_to_it(bus, slaves, setups, error):
     def used() -> None:
-        with DriveGroup(bus, setups(6), PERIOD_S) as group:
-            group.connect()
-            group.configure()
+        with configured(bus, setups(6), PERIOD_S) as group:
             group.enable()
             slaves[4].alive = False
             raise error
@@ -530,15 +507,8 @@ def test_axes_that_never_come_to_rest_are_not_released(group, slaves):
 def test_a_bus_that_fails_while_the_quick_stop_is_tried_is_an_error(group, slaves, wire):
     rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
     slaves[0].moves_in = {"quick stop": [700] * 50}
-    plain = slaves[0].on_frame
-
-    def on_frame(can_id: int, data: bytes) -> None:
-        plain(can_id, data)
-        if can_id == SYNC and slaves[0].state == "quick stop":
-            wire.send_errors = 1 << 30
-
-    slaves[0].on_frame = on_frame  # type: ignore[method-assign]
-    group.on_stop = lambda: (setattr(slaves[0], "on_frame", plain), setattr(wire, "send_errors", 0))
+    slaves[0].at_sync = lambda: slaves[0].state == "quick stop" and setattr(wire, "send_errors", 1 << 30)
+    group.on_stop = lambda: (setattr(slaves[0], "at_sync", list), setattr(wire, "send_errors", 0))
     with pytest.raises(DriveError, match="could not be sent"):
         prove_quick_stop(group, rows)
     assert not group.enabled
@@ -551,9 +521,7 @@ def test_a_bus_that_fails_while_the_quick_stop_is_tried_is_an_error(group, slave
 @pytest.mark.parametrize("pacing", ["real", "lockstep"])
 @pytest.mark.parametrize("what", ["dead", "deaf", "send"])
 def test_no_heartbeat_after_a_stop_that_is_not_confirmed(bus, slaves, setups, wire, pacing, what):
-    with DriveGroup(bus, setups(6), PERIOD_S, pacing) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), PERIOD_S, pacing) as group:
         group.enable()
         move(group, 5)
         if what == "dead":
@@ -602,9 +570,7 @@ def test_waiting_for_an_answer_does_not_revive_the_heartbeat(group, slaves, wire
 
 @pytest.mark.parametrize("pacing", ["real", "lockstep"])
 def test_one_axis_is_held_by_its_brake_while_the_others_hold(bus, slaves, setups, pacing):
-    with DriveGroup(bus, setups(6), PERIOD_S, pacing) as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(6), PERIOD_S, pacing) as group:
         group.enable()
         slaves[1].moves_in = {"switched on": [-20], "switch on disabled": [-30, -40, 10]}
         for slave in slaves:
@@ -619,14 +585,7 @@ def test_one_axis_is_held_by_its_brake_while_the_others_hold(bus, slaves, setups
 
 
 def test_another_axis_that_slips_meanwhile_stops_all(group, slaves):
-    plain = slaves[1].on_frame
-
-    def on_frame(can_id: int, data: bytes) -> None:
-        plain(can_id, data)
-        if can_id == SYNC and slaves[1].state == "switch on disabled":
-            slaves[3].state = "fault"
-
-    slaves[1].on_frame = on_frame  # type: ignore[method-assign]
+    slaves[1].at_sync = lambda: slaves[1].state == "switch on disabled" and setattr(slaves[3], "state", "fault")
     with pytest.raises(DriveFault, match="node 4"):
         release(group, 1, 0.5)
     assert {slave.state for slave in slaves} == {"switch on disabled", "fault"}

@@ -19,7 +19,7 @@ from drives.group import DriveGroup
 from drives.heartbeat import NmtState
 from drives.profile_file import load_profile
 from drives.values import AxisSetup
-from tests.drives.conftest import Slave
+from tests.drives.conftest import Slave, configured
 
 PERIOD_S = 0.004
 BOTH = pytest.mark.parametrize("pacing", ["lockstep", "real"])
@@ -103,9 +103,7 @@ def test_a_slave_that_never_starts_is_named_with_its_state(bus, slaves, wire, pr
         slave.values[0x1018, 1] = 0x6A
         slave.values[0x1017, 0] = 100
     setups = [AxisSetup(node, load_profile(profile), 0.5, 300.0) for node in (1, 2)]
-    with DriveGroup(bus, setups, PERIOD_S, "real") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups, PERIOD_S, "real") as group:
         start_s = wire.now_s
         with pytest.raises(NotOperational, match=r"PREOPERATIONAL.*0x1029.*0x1006") as caught:
             group.enable()
@@ -116,11 +114,9 @@ def test_a_slave_that_never_starts_is_named_with_its_state(bus, slaves, wire, pr
 
 def test_a_drive_whose_heartbeat_never_comes_is_not_enabled(bus, slaves, setups):
     slaves[0].beats = False
-    with DriveGroup(bus, setups(2), PERIOD_S) as group:
-        group.connect()
-        group.configure()
-        with pytest.raises(HeartbeatLost, match="node 1:1017.*sends no heartbeat"):
-            group.enable()
+    sends_none = pytest.raises(HeartbeatLost, match="node 1:1017.*sends no heartbeat")
+    with configured(bus, setups(2), PERIOD_S) as group, sends_none:
+        group.enable()
     assert slaves[0].controlwords.count(0x0F) == 0
 
 
@@ -140,9 +136,8 @@ def test_a_slave_that_waits_for_sync(bus, slaves, setups, pacing):
 def test_a_slave_that_does_not_take_zero_gets_our_period(bus, slaves, setups):
     put(slaves[0], (0x1006, 0), "u32", 1000)
     slaves[0].refuses_write = lambda *write: 0x06090032 if write == ((0x1006, 0), bytes(4)) else 0
-    with DriveGroup(bus, setups(2), PERIOD_S, "real") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(2), PERIOD_S, "real"):
+        pass
     assert slaves[0].values[0x1006, 0] == 4000
 
 
@@ -227,9 +222,7 @@ def test_the_interpolation_period_is_applied_in_the_exponent_that_the_drive_take
     wire.slaves.append(slave)
     slave.fixed, slave.refusal = (None, 0) if fixed is None else (-3, fixed)
     slave.power_up(found[0], -3 if fixed else found[1])
-    with DriveGroup(bus, setups(1), period_ms / 1000.0, "real") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(1), period_ms / 1000.0, "real") as group:
         assert slave.applied_s == pytest.approx(period_ms / 1000.0)
         assert slave.values[0x60C2, 1] * 10.0 ** slave.values[0x60C2, 2] == pytest.approx(period_ms / 1000.0)
         if fixed or found[1] == -3:
@@ -240,9 +233,7 @@ def test_the_interpolation_period_is_applied_in_the_exponent_that_the_drive_take
 
 def test_an_axis_whose_interpolation_period_was_left_at_another_one_is_not_enabled(bus, slaves, setups):
     """The timing test changes it, and its drive may refuse to take the period of the cell back."""
-    with DriveGroup(bus, setups(2), PERIOD_S, "real") as group:
-        group.connect()
-        group.configure()
+    with configured(bus, setups(2), PERIOD_S, "real") as group:
         set_interpolation_period(group.drives[1], 0.010)
         with pytest.raises(ConfigurationRefused, match=r"node 2:60C2.*interpolates over 0\.01 s.*every 0\.004 s"):
             group.enable()

@@ -9,7 +9,7 @@ import pytest
 from drives.group import DriveGroup
 from drives.torque_signals import TorqueSignalReader, TorqueSignals
 from drives.values import AxisSetup
-from tests.drives.conftest import Slave
+from tests.drives.conftest import Slave, configured
 
 OFF = 1 << 31
 
@@ -26,9 +26,7 @@ def slaves(add_slaves: Callable[[int], list[Slave]]) -> list[Slave]:
 
 @pytest.fixture
 def group(bus: object, slaves: list[Slave], setups: Callable[[int], list[AxisSetup]]) -> Iterator[DriveGroup]:
-    with DriveGroup(bus, setups(2), 0.004) as group:  # type: ignore[arg-type]
-        group.connect()
-        group.configure()
+    with configured(bus, setups(2), 0.004) as group:
         yield group
 
 

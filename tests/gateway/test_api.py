@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 import re
 import subprocess
 import sys
@@ -93,6 +94,16 @@ def test_answers_are_those_of_the_command(command, answer, tmp_path):
         result.pop("sha256")
         result["data"].pop("created")
     assert found == said
+
+
+@pytest.mark.slow
+def test_the_example_measures_a_load_on_simulated_drives(tmp_path):
+    script, place = EXAMPLES / "python" / "measure_a_load.py", os.environ | {"XDG_STATE_HOME": str(tmp_path / "state")}
+    done = subprocess.run([sys.executable, script, tmp_path], capture_output=True, text=True, check=False, env=place)
+    assert done.returncode == 0, done.stderr
+    mass_kg, std_kg = map(float, re.search(r"load gripper: (\S+) kg, .* (\S+) kg", done.stdout).groups())
+    assert abs(mass_kg - 6.0) < 3 * std_kg < 1.0  # the simulator's payload.toml of examples/small
+    assert set(api.read(tmp_path / "run.h5").load) == {"gripper", "none"}
 
 
 @pytest.mark.slow

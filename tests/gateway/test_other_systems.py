@@ -45,7 +45,7 @@ OFFLINE = (
     "gateway.data.recording.reader",
     "gateway.formats.registry",
     "gateway.newcell.interview",
-    "gateway.newcell.reading",
+    "gateway.newcell.nodes",
     "gateway.report.render",
     "gateway.report.stop",
 )
@@ -93,7 +93,7 @@ def test_a_table_is_estimated_there_as_here(tmp_path):
 def test_a_file_is_written_and_a_lock_is_refused_in_words(tmp_path):
     code = (
         "import os\nfrom pathlib import Path\nfrom drives.files import replace_file\n"
-        "from drives.file_lock import lock_file\n"
+        "from drives.files import lock_file\n"
         f"path = Path({str(tmp_path / 'a.txt')!r})\nreplace_file(path, 'text')\nreplace_file(path, 'more')\n"
         "assert path.read_text() == 'more'\n"
         "try:\n    lock_file(os.open(path, os.O_RDONLY))\n"

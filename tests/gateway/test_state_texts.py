@@ -25,7 +25,7 @@ SAID = {
     # of what this command itself has written, refused or stopped
     ("drives/access.py", " was restored, but "),
     ("gateway/commands/bus.py", "nothing has moved: correct the failed items first"),
-    ("gateway/commands/calibrate.py", "; nothing has moved"),
+    ("gateway/jobs/calibrate.py", "; nothing has moved"),
     ("gateway/commands/cell.py", "nothing was written: the line numbers refer to the draft"),
     ("gateway/commands/config.py", "nothing was written to the drives of"),
     ("gateway/jobs/frame.py", "By this command nothing has moved since the question"),

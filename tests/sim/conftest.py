@@ -157,15 +157,22 @@ def channel() -> str:
     return f"sim-{uuid.uuid4().hex}"
 
 
-@pytest.fixture
-def drives(channel: str) -> Iterator[tuple[Master, RunningSimulation]]:
-    """The small arm's six drives on a virtual bus, and a master."""
-    with running(EXAMPLES / "small" / "cell.toml", f"virtual:{channel}", pacing="lockstep") as simulation:
+@contextmanager
+def mastered(channel: str, **options: object) -> Iterator[tuple[Master, RunningSimulation]]:
+    """Simulated drives on a virtual bus, and a master."""
+    with running(SMALL, f"virtual:{channel}", **options) as simulation:
         master = Master(channel)
         try:
             yield master, simulation
         finally:
             master.bus.shutdown()
+
+
+@pytest.fixture
+def drives(channel: str) -> Iterator[tuple[Master, RunningSimulation]]:
+    """The small arm's six drives on a virtual bus, and a master."""
+    with mastered(channel, pacing="lockstep") as both:
+        yield both
 
 
 @pytest.fixture
@@ -177,12 +184,8 @@ def start(tmp_path: Path, channel: str) -> Start:
         scenario = tmp_path / "fault.toml"
         more = "\n".join(f"{key} = {value}" for key, value in keys.items())
         scenario.write_text(f'[[fault]]\nkind = "{kind}"\nnode = 2\n{more}\n', encoding="utf-8")
-        with running(SMALL, f"virtual:{channel}", fault=(scenario,), pacing=pacing, timing=timing) as simulation:
-            master = Master(channel)
-            try:
-                yield master, simulation
-            finally:
-                master.bus.shutdown()
+        with mastered(channel, fault=(scenario,), pacing=pacing, timing=timing) as both:
+            yield both
 
     return begin
 

@@ -17,9 +17,9 @@ import pytest
 from drives.errors import DriveRebooted
 from gateway.cli import main
 from gateway.commands.console import Session
-from gateway.commands.guided import Terminal
 from gateway.commands.motion_options import MoveChoice
 from gateway.commands.shared_options import confirm
+from gateway.commands.terminal import terminal as operator_at
 from gateway.motion.stops import StoppedByPerson
 from sim.faults import act, fault_of
 from sim.states import PdsState
@@ -43,7 +43,7 @@ class Person:
 
 @pytest.fixture
 def terminal():
-    return Terminal(Session(), MoveChoice(100, False, True, None))
+    return operator_at(Session(), MoveChoice(100, False, True, None))
 
 
 class Waiting:

@@ -11,10 +11,10 @@ import pytest
 
 from gateway.cell.config import load_cell
 from gateway.excite.plan_file import plan_as_plain, read_moving_plan
-from gateway.excite.sweep import Sweep
+from gateway.excite.sweep_choice import Sweep
 from gateway.model.arm_model import arm_robot
 from gateway.motion.workspace import workspace_of
-from gateway.result.follow import read_follow
+from gateway.result.follow import follow_from_json
 from gateway.result.result import read_result
 from sim.cellfile import read_payloads
 from tests.data.excitations import swing
@@ -166,6 +166,6 @@ def _check_use(place, gateway, drives, result):
     files = ["--path", place.folder / "path.toml", "--load", result, "--identified", result, "--json", out]
     done = gateway("follow", place.cell, *files, "--bus", drives.bus, "--yes")
     assert done.exit_code == 0, done.output
-    followed = read_follow(out)
+    followed = follow_from_json(out.read_text(), "follow.json")
     peak = {setting.name: np.array(setting.peak_rad) for setting in followed.settings}
     assert (peak["identified"][[1, 2]] < 0.1 * peak["off"][[1, 2]]).all()

@@ -36,11 +36,45 @@ def test_one_pose_is_refused(place, gateway):
 # ----------------------------------------------------------------------------------------- before anything moves
 
 
+#: The small cell with joint 1, at 0 rad, too far outside its range.
+FAR_OUTSIDE = (
+    ("position_limit_rad = [-2.8, 2.8]", "position_limit_rad = [0.4, 2.8]"),
+    ("home_rad = [0.0", "home_rad = [0.5"),
+    ("loading_rad = [0.0", "loading_rad = [0.5"),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "more"),
+    [
+        (["move"], ["--to", "home"]),
+        (["record"], ["--load", "none", "-o", "run.h5"]),
+        (["drive", "test"], ["-o", "timing"]),
+    ],
+)
+@pytest.mark.parametrize(
+    ("fault", "changes", "code", "says"),
+    [
+        ('[[fault]]\nkind = "fault_at_start"\nnode = 3\n', (), 4, "node 3"),
+        ("", FAR_OUTSIDE, 5, "jog the joint back"),
+    ],
+)
+def test_an_arm_that_cannot_be_moved_is_refused_before_the_question(
+    place, gateway, serve, monkeypatch, words, more, fault, changes, code, says
+):
+    monkeypatch.chdir(place.folder)
+    drives, cell = serve(fault=fault), place.variant("changed", *changes)
+    done = gateway(*words, cell, "--bus", drives.bus, *more, input="y\n")
+    assert "area clear" not in done.output
+    complains(done, code, says)
+    assert drives.handle.simulation.servers[0].sync_count == 0
+
+
 @pytest.mark.slow
 def test_a_joint_outside_its_limits(place, gateway, serve):
     drives = serve()
-    inside = (("home_rad = [0.0", "home_rad = [0.5"), ("loading_rad = [0.0", "loading_rad = [0.5"))
-    cell = place.variant("narrow", ("position_limit_rad = [-2.8, 2.8]", "position_limit_rad = [0.4, 2.8]"), *inside)
+    cell = place.variant("narrow", *FAR_OUTSIDE)
     done = gateway("record", cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     complains(done, 5, "J1" if "J1" in done.stderr else "joint 1", "jog the joint back")
     assert drives.stand_still()

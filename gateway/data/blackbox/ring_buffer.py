@@ -18,7 +18,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from drives.file_lock import lock_file
+from drives.files import lock_file
 from gateway.data.blackbox.part import BoxHeader, BoxPart, checked, unpack, with_checksum
 
 #: So much is kept [s], by the time of the run; and no more than this by the wall clock, where the run stands still.

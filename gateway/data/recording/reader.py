@@ -18,8 +18,7 @@ from gateway.data.recording.binding import torque_units
 from gateway.data.recording.hdf5_text import Hdf5Group, open_recording
 from gateway.data.recording.recorded import SIDES, ArmRecording, Recording, arm_config
 from gateway.data.recording.seal import refuse_damaged
-from gateway.data.rest_pose import Purpose, RestPose
-from gateway.data.visit import NO_WORD, Visit
+from gateway.data.visit import NO_WORD, Purpose, RestPose, Visit
 from gateway.errors import ConfigError, InputError
 
 __all__ = ["SCHEMA", "ArmRecording", "Recording", "read"]

@@ -16,11 +16,9 @@ from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, Cell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.period import Period, harmonics_of
-from gateway.data.periodic import CUTOFF_HZ, by_harmonics, by_low_pass
-from gateway.data.periods import EXCITATION, MOTION_HZ, PERIOD, PHASE_S
-from gateway.data.rest_pose import RestPose
+from gateway.data.periods import CUTOFF_HZ, EXCITATION, MOTION_HZ, PERIOD, PHASE_S, by_harmonics, by_low_pass
 from gateway.data.rows import MOVING, Table, concatenate
-from gateway.data.visit import Visit
+from gateway.data.visit import RestPose, Visit
 from gateway.errors import InputError
 
 SIDES = (-1, 1)

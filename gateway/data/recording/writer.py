@@ -18,14 +18,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from drives.file_lock import lock_file
-from drives.files import replace_file
+from drives.files import lock_file, replace_file
 from drives.scaling import Constants
 from gateway.data.period import Measured, Period
 from gateway.data.recording.reader import SCHEMA, Recording, read
 from gateway.data.recording.seal import sealed
-from gateway.data.rest_pose import RestPose
-from gateway.data.visit import NO_WORD, Visit
+from gateway.data.visit import NO_WORD, RestPose, Visit
 from gateway.errors import InputError
 
 #: Puts a content in the place of a file, whole or not at all; raises InputError.

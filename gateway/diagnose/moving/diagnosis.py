@@ -2,42 +2,40 @@
 
 The noise floor of a moving run is unknown unless its motion repeats; without repeats the best verdict is `improved`.
 Errors are evaluated on rows in which the axis moves, because static friction has no unique value. The provenance states
-the number of these rows.
+the number of these rows. Joints with a secondary encoder show their elasticity by the wind-up, which is proportional to
+the torque.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.diagnose.moving.choice import Choice, choose, plain_choice, problem_of
-from gateway.diagnose.moving.deflection import elastic_joints
-from gateway.diagnose.moving.judge import Judges
-from gateway.diagnose.moving.lag import lags, prepare_in_step
-from gateway.diagnose.moving.moving_answer import answer_of
+from gateway.diagnose.moving.choice import Choice, Judges, choose, plain_choice, problem_of
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.moving.moving_findings import MovingOutcome
 from gateway.diagnose.moving.moving_mistakes import undo
-from gateway.diagnose.moving.moving_outcome import result_of, too_little
+from gateway.diagnose.moving.moving_outcome import answer_of, result_of, too_little
+from gateway.diagnose.moving.moving_rows import judging, lags, prepare_in_step
 from gateway.diagnose.moving.parameters import certain
 from gateway.diagnose.moving.penalised_fit import MovingProblem
-from gateway.diagnose.moving.residual_motion_dependence import structured_axes
-from gateway.diagnose.moving.select import left_over, weigh
-from gateway.diagnose.moving.splits import judging
-from gateway.diagnose.moving.state import MovingState, state_of
+from gateway.diagnose.moving.select import left_over, structured_axes, weigh
+from gateway.diagnose.moving.trial import MovingState, state_of
+from gateway.diagnose.wind_up import design_of, elastic, wind_up
 from gateway.errors import DataUnusable
 from gateway.identify.knowledge import EXACT, Knowledge
 from gateway.identify.links import has_inertials
 from gateway.identify.prior_loads import BARE_LABEL, unknown_labels
+from gateway.identify.spread import counting_share
 from gateway.model.effects import LIBRARY
-from gateway.model.motion import MovingRows
+from gateway.model.motion import Mask, MovingRows
 from gateway.model.robot import Robot
 from gateway.model.term import Label
-from gateway.result.result import Result
+from gateway.result.result import EffectResult, Evidence, Result
 
 Floats = NDArray[np.float64]
 
@@ -200,3 +198,35 @@ def _trust(robot: Robot, knowledge: Knowledge) -> float | None:
     if np.isinf(knowledge.trust) or not has_inertials(robot):
         return None
     return MOVING.first_trust if knowledge.link_std is None else max(knowledge.link_std, EXACT)
+
+
+def elastic_joints(
+    problem: MovingProblem, state: MovingState, pairs: Sequence[tuple[Mask, Mask]]
+) -> tuple[EffectResult, ...]:
+    """Report elastic joints among those with a secondary encoder.
+
+    The wind-up is regressed on the modelled torque of the links, with a constant for the zeros of the two encoders. A
+    joint is reported if the slope is significant and predicts the wind-up of rows that were not in its fit; `pairs` are
+    fitted and held-out rows.
+    """
+    motion = problem.motion
+    found = []
+    for axis in range(motion.axes):
+        bend, torque = motion.wind_up_rad[:, axis], state.full.modelled.rigid_nm[:, axis]
+        if not np.isfinite(bend).all() or not motion.measured[axis]:
+            continue
+        fitted = ~motion.held_out
+        compliance, std, p_value = wind_up(torque[fitted], bend[fitted], counting_share, motion.axes)
+        # Ratio of the held-out RMS of the wind-up with the torque to that without it
+        design = design_of(torque)
+        squares = np.zeros(2)
+        for train, test in pairs:
+            for place, columns in enumerate((design, design[:, 1:])):
+                value, *_ = np.linalg.lstsq(columns[train], bend[train], rcond=None)
+                squares[place] += float(((bend - columns @ value)[test] ** 2).sum())
+        ratio = float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else 1.0
+        bent = compliance * float(np.abs(torque).max())
+        if compliance < MOVING.wind_up * std or ratio > MOVING.wind_up_ratio or bent > MOVING.largest_wind_up_rad:
+            continue
+        found.append(elastic(axis, compliance, std, Evidence(holdout_rms_ratio=ratio, p_value=p_value)))
+    return tuple(found)

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.held_out_residuals import Held
-from gateway.diagnose.moving.judge import Judges
+from gateway.diagnose.held_out_residuals import Held, HeldRatio
+from gateway.diagnose.moving.choice import Judges
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.moving.moving_mistakes import MovingMistake
 from gateway.diagnose.moving.penalised_fit import MovingProblem
-from gateway.diagnose.moving.ratio import HeldRatio
 from gateway.diagnose.moving.select import Chosen
-from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.trial import MovingState
 from gateway.model.effects import LIBRARY, MISTAKES
 from gateway.model.term import Label
 from gateway.result.result import EffectResult, Finding, NextMeasurement

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.diagnose.held_out_residuals import Held
+from gateway.diagnose.held_out_residuals import Held, HeldRatio, held_ratio
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
-from gateway.diagnose.moving.moving_noise import MovingNoise
+from gateway.diagnose.moving.null_model import MovingNoise
 from gateway.diagnose.moving.penalised_fit import MovingFit, MovingProblem, fit
-from gateway.diagnose.moving.ratio import HeldRatio, held_ratio
 from gateway.model.motion import MovingRows
 from gateway.model.term import Label
 
 Floats = NDArray[np.float64]
+
 #: Rows as a table has them, or prepared ones.
 Read = TypeVar("Read", MovingRows, Table)
 

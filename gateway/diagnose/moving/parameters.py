@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.moving.penalised_fit import MovingFit, MovingProblem, fit
-from gateway.diagnose.moving.refine import coupling_cost
-from gateway.diagnose.moving.state import MovingState, spread_of
-from gateway.diagnose.moving.trial import Trial, extend
+from gateway.diagnose.moving.select import coupling_cost
+from gateway.diagnose.moving.trial import MovingState, Trial, extend, spread_of
 from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.effects.current_rms_peak import EFFECT as RMS_PEAK

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.moving_noise import MovingNoise
-from gateway.diagnose.moving.null_model import NullModel
-from gateway.identify.motion.convergence import LIMIT_PASSES, limited
+from gateway.diagnose.moving.null_model import MovingNoise, NullModel
+from gateway.identify.motion.problem import LIMIT_PASSES, limited
 from gateway.identify.solve import Prior
 from gateway.model.motion import Mask, Modelled, MovingRows
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
+
 #: Positions (k,) and columns (n, k) of each axis.
 Extra = tuple[tuple[Ints, Floats], ...]
 

@@ -2,24 +2,139 @@
 
 An effect is accepted if three criteria agree. The fitted rows require it (F test, Bonferroni over all tried effects).
 The held-out error of its axes drops by more than a minimum. The drop is spread over the held-out time. Effects that are
-common in gears have lower thresholds than faults or extra parts.
+common in gears have lower thresholds than faults or extra parts. Families with nonlinear shape parameters have their
+shape selected.
+
+The remaining residual is tested for dependence on the motion. Columns without a physical cause (harmonics of the
+angles, speeds, motion of the neighbours, another friction in the last run) are tried like effects. If they improve
+held-out rows, the residual has structure that no effect of the library explains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
 
+from gateway.diagnose.held_out_residuals import NOT_HELD, HeldRatio
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING, Demands
-from gateway.diagnose.moving.penalised_fit import MovingProblem
-from gateway.diagnose.moving.ratio import NOT_HELD, HeldRatio
-from gateway.diagnose.moving.refine import refine, reshaped
-from gateway.diagnose.moving.state import MovingState, beyond_usual, compare, lacking, refitted, state_of, with_noise_of
-from gateway.diagnose.moving.trial import Trial, candidates, demanded_most, possible, suggested, trials_of
+from gateway.diagnose.moving.penalised_fit import MovingProblem, fit, prior_precision
+from gateway.diagnose.moving.trial import (
+    MovingState,
+    Trial,
+    beyond_usual,
+    candidates,
+    compare,
+    demanded_most,
+    extend,
+    lacking,
+    possible,
+    put_on_trial,
+    refitted,
+    state_of,
+    suggested,
+    trials_of,
+    with_noise_of,
+)
 from gateway.model.effects import DRAWN, FRICTION
-from gateway.model.term import Label, Term
+from gateway.model.effects.axis_coupling import MotorCoupling
+from gateway.model.motion import Modelled, MovingRows
+from gateway.model.term import Label, OnAxis, Term
+from gateway.model.unnamed import harmonics
+
+Floats = NDArray[np.float64]
+
+#: Factors [-] on the ratio of a train that are tried: 5 % about one to one, coarser where trains are rare.
+COUPLING_STEPS = np.array([0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
+#: Evaluations [-] of a law of three shape parameters: the simplex has shrunk a thousandfold by then.
+EVALUATIONS = 150
+
+
+def refine(problem: MovingProblem, state: MovingState, term: Term, pool: Sequence[Term]) -> Term:
+    """Return the member of an effect's family that fits best, as far as the rows can separate the members."""
+    if isinstance(term, MotorCoupling):
+        # Coupling coefficient that the fitted rows prefer; one-to-one unless they contradict it
+        centre = term.coefficient
+        others = [other for other in state.terms if other.label != term.label]
+        grid = np.unique(np.concatenate([centre * COUPLING_STEPS, [np.sign(centre)]]))
+        costs = np.array([coupling_cost(problem, others, term, float(value)) for value in grid])
+        complete = int(np.argmin(np.abs(grid - np.sign(centre))))
+        chosen = complete if costs[complete] - costs.min() < MOVING.coupling_slack else int(np.argmin(costs))
+        return replace(term, coefficient=float(grid[chosen]))
+    if term.scales_reading:
+        # Axis whose scale explains most after a full fit; neighbouring axes are equal to first order
+        members = [term for term in pool if term.scales_reading and term not in state.terms]
+        return max(members, key=lambda term: refitted(problem, state, term).gain)
+    if not all(term.linear):
+        return _best_law(problem, state, term, pool)
+    return term
+
+
+def reshaped(problem: MovingProblem, state: MovingState, pool: Sequence[Term], newest: Term | None) -> MovingState:
+    """Return the model with the shape of every friction law but the newest refitted."""
+    for term in state.terms:
+        if all(term.linear) or term == newest:
+            continue
+        others = [other for other in state.terms if other != term]
+        state = state_of(problem, (*others, _best_law(problem, state_of(problem, others), term, pool)))
+    return state
+
+
+def _best_law(problem: MovingProblem, state: MovingState, found: Term, pool: Sequence[Term]) -> Term:
+    """Simplest law of the effect in its best shape, or another that held-out rows clearly prefer."""
+    chosen, best, lead = found, -np.inf, 0.0
+    members = [term for term in pool if term.label == found.label]
+    trials = [trial for trial in trials_of(problem, state.fits, state.full, members) if trial is not None]
+    trials = [trial for trial in trials if possible(problem, state.full, trial.term, trial.value, trial.covariance)]
+    for law in dict.fromkeys(type(term) for term in members):
+        own = [trial for trial in trials if type(trial.term) is law]
+        if not own:
+            continue
+        member = _best_shape(problem, state, min(own, key=lambda trial: trial.p_demand).term)
+        trial = put_on_trial(problem, state.fits, state.full, member)
+        if trial is None or not possible(problem, state.full, member, trial.value, trial.covariance):
+            continue
+        if trial.gain - lead > best:
+            chosen, best = member, trial.gain - lead
+        lead = MOVING.lead
+    return chosen
+
+
+def _best_shape(problem: MovingProblem, state: MovingState, term: Term) -> Term:
+    """Shape with the lowest cost of fitted rows and prior."""
+    start, spread = (np.array(values[term.count :]) for values in (term.start, term.spread))
+
+    def cost(steps: Floats) -> float:
+        return _cost(problem, state, term, start + spread * steps) + float(steps @ steps)
+
+    answer = minimize(cost, np.zeros(len(start)), method="Nelder-Mead", options={"maxfev": EVALUATIONS, "xatol": 1e-3})
+    return term.shaped(start + spread * np.asarray(answer.x))
+
+
+def _cost(problem: MovingProblem, state: MovingState, term: Term, shape: Floats) -> float:
+    """Cost of the fitted rows with one more effect minus the cost without it."""
+    axes = list(term.enters(problem.motion.axes))
+    columns = term.shaped(shape).columns(problem.motion, state.full.modelled)
+    solved = extend(state.full, axes, columns, prior_precision(term))
+    return 0.0 if solved is None else -solved[3]
+
+
+def coupling_cost(problem: MovingProblem, others: Sequence[Term], term: MotorCoupling, coefficient: float) -> float:
+    """Cost of the fitted rows if all friction and rotor inertia of the outer axis act on its motor.
+
+    Only then can the coefficient be identified: friction on the joint depends on the joint's own speed.
+    """
+    axis = term.outer
+    columns, own = problem.null.columns, problem.null.friction[axis, :3]
+    seen = (columns.design[:, axis, own] ** 2).sum(axis=0) * problem.noise.weight[axis] ** 2
+    prior = columns.prior.with_std(own, (1e8 * seen) ** -0.5)
+    clamped = replace(problem, null=replace(problem.null, columns=replace(columns, prior=prior)))
+    member = replace(term, coefficient=coefficient)
+    return fit(clamped, (*others, member), ~problem.motion.held_out, problem.motion.held_out).cost
 
 
 def demands(term: Term, axes: int) -> Demands:
@@ -191,3 +306,63 @@ def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -
         rival = runner is not None and is_significant(problem, runner, len(pool))
         out.append(Chosen(mine, own, runner, odds, odds < MOVING.naming_odds, rival))
     return out
+
+
+def structured_axes(problem: MovingProblem, state: MovingState) -> dict[int, float]:
+    """Axes (from 0) whose residual depends on the motion, with the held-out ratio that proves it."""
+    found = {}
+    for axis in np.flatnonzero(problem.motion.measured):
+        trials = (put_on_trial(problem, state.fits, state.full, Shapeless(int(axis), of)) for of in SHAPES)
+        ratios = [trial.ratio for trial in trials if trial is not None and _convinces(trial)]
+        if min(ratios, default=1.0) < 1.0:
+            found[int(axis)] = min(ratios)
+    return found
+
+
+def _convinces(trial: Trial) -> bool:
+    return (
+        trial.ratio <= MOVING.structure_ratio
+        and trial.p_held <= 10.0 * MOVING.structure_p
+        and trial.p_demand <= MOVING.structure_p
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Shapeless(OnAxis):
+    """Torque on one axis as a smooth function of the quantity `of`, without a physical cause."""
+
+    of: str
+    name: ClassVar[str] = "structure"
+    modelled: ClassVar[bool] = True
+
+    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
+        return SHAPES[self.of](motion, modelled, self.axis)[:, None, :]
+
+
+def _speed(motion: MovingRows, _: Modelled, axis: int) -> Floats:
+    part, sign = np.abs(motion.qd_rad_s[:, axis]) / float(motion.speed_rad_s[axis]), motion.sign[:, axis]
+    return np.stack([sign * np.exp(-part / 0.1), sign * part**2, part], axis=1)
+
+
+def _neighbours(motion: MovingRows, _: Modelled, axis: int) -> Floats:
+    others = [other for other in range(motion.axes) if other != axis]
+    return np.concatenate([motion.sign[:, others], motion.qd_rad_s[:, others]], axis=1)
+
+
+def _sides(motion: MovingRows, axis: int) -> Floats:
+    """Columns (n, 2): a constant, and the direction of motion."""
+    return np.stack([np.ones(len(motion)), motion.sign[:, axis]], axis=1)
+
+
+#: What the residual may depend on, and its columns (n, k) on an axis; speeds in shares of the fastest.
+SHAPES: Mapping[str, Callable[[MovingRows, Modelled, int], Floats]] = {
+    "angle": lambda motion, _, axis: harmonics(motion.q_rad[:, axis], 2),
+    "direction and angle": lambda motion, _, axis: motion.sign[:, [axis]] * harmonics(motion.q_rad[:, axis], 1),
+    "speed": _speed,
+    "posture": lambda motion, _, axis: np.concatenate([np.sin(motion.q_rad), np.cos(motion.q_rad)], axis=1),
+    "neighbours": _neighbours,
+    "torque": lambda motion, modelled, axis: modelled.rigid_nm[:, [axis]] * _sides(motion, axis),
+    "run": lambda motion, _, axis: (
+        (motion.run == motion.run.max())[:, None] * np.column_stack([_sides(motion, axis), motion.qd_rad_s[:, axis]])
+    ),
+}

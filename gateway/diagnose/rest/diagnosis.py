@@ -13,27 +13,37 @@ from numpy.typing import NDArray
 
 from gateway.cell.quantities import inertials_text
 from gateway.data.table import Table
-from gateway.diagnose.rest.direct_effects import elastic_joints, friction_by_direction
 from gateway.diagnose.rest.formula import Formulas, candidate_formula, searched_formulas
-from gateway.diagnose.rest.holdout import Unseen, predicted, prediction_covariance
+from gateway.diagnose.rest.holdout import (
+    Unseen,
+    fresh_misfit,
+    fresh_seen_nm,
+    predicted,
+    prediction_covariance,
+    spare_rows,
+)
 from gateway.diagnose.rest.pose_selection import PoseChoice, questions
 from gateway.diagnose.rest.residual_structure import structure_seen_nm
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
-from gateway.diagnose.rest.rest_findings import at_the_edge, corrected_links, limits
 from gateway.diagnose.rest.rest_mistakes import (
     Mistake,
     band_signs,
     beyond_any_effect,
+    elastic_joints,
     find_mistakes,
+    friction_by_direction,
     links_far_from_cad,
     suspicious,
     unseen_ratio,
 )
 from gateway.diagnose.rest.rest_outcome import (
     Judge,
+    at_the_edge,
     contradicted,
+    corrected_links,
     factor_rival,
     floor_and_band,
+    limits,
     mistake_effect,
     mistake_findings,
     possible,
@@ -44,20 +54,18 @@ from gateway.diagnose.rest.rest_outcome import (
 from gateway.diagnose.rest.rest_plots import pictures
 from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
 from gateway.diagnose.rest.search import Search, run
-from gateway.diagnose.rest.validation_tests import fresh_misfit, fresh_seen_nm, spare_rows
 from gateway.diagnose.rest.verdict import Decision, decide, without_names
 from gateway.errors import DataUnusable
 from gateway.estimate import to_result
-from gateway.estimate.describe import bare_of
+from gateway.estimate.estimate import bare_of
 from gateway.estimate.handover import reversed_signs
 from gateway.estimate.joint import estimate_joint
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies, without_placeholder
-from gateway.identify.gravity_sign import reversed_gravity
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import REFUSED, refused_findings
-from gateway.identify.mass_change import mass_changes
+from gateway.identify.mass_change import mass_changes, reversed_gravity
+from gateway.identify.outliers import Outliers, find_outliers
 from gateway.identify.prior_loads import BARE_LABEL, require_postures
-from gateway.identify.rejected import RejectedTorques, rejected_torques
 from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects, with_place_effects
 from gateway.identify.rest.linear import Fit, RestProblem, visit_loads
 from gateway.identify.rest.problem import build_problem, sides_unknown
@@ -99,7 +107,7 @@ class ReadVisits:
     """
 
     table: Table
-    outliers: RejectedTorques
+    outliers: Outliers
     rejected: NDArray[np.bool_]
     problem: RestProblem
     plain: Fit
@@ -166,9 +174,9 @@ class RestDiagnosis:
     def _rows(self, table: Table) -> Visits:
         return pair_visits(table, self.stated.efficiency, self.stated.coupling)
 
-    def outliers(self, rows: Visits) -> RejectedTorques:
+    def outliers(self, rows: Visits) -> Outliers:
         """Outliers of the uncorrected visits."""
-        return rejected_torques(rows, self.robot, self.knowledge.gravity_m_s2)
+        return find_outliers(rows, self.robot, self.knowledge.gravity_m_s2)
 
     def read(self, table: Table) -> ReadVisits:
         """Read the visits of a table, reject outliers, and fit the rest without effects."""

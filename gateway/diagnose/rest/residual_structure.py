@@ -48,45 +48,6 @@ class Moments:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PoseCorrelation:
-    """Pairs of half-sums of one axis and pose in different visits: statistics of their products under noise alone.
-
-    Attributes
-    ----------
-    count : number of pairs
-    mean, std : of the sum of the products of standardised residuals
-    """
-
-    count: int
-    mean: float
-    std: float
-
-    def chance(self, products: Floats) -> Floats:
-        """P-value (d,) of sums of products (d,): probability of an equal or larger correlation under noise alone."""
-        # Upper tail of a standardised sum of `count` products of normals: half the difference of two chi-squares
-        score = (products - self.mean) / self.std
-        return np.exp(np.interp(score, _SCORES, _log_product_tail(self.count)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Scatter:
-    """Half-sums and half-differences of one axis: degrees of freedom, and smallest variance of either."""
-
-    freedom: tuple[float, float]
-    least: float
-
-    def chance(self, sums: Floats, differences: Floats) -> Floats:
-        """P-value (d,) of the excess scatter of half-sums over half-differences, from sums of squares (d,)."""
-        above, below = (
-            np.maximum(squares / count, self.least)
-            for squares, count in zip((sums, differences), self.freedom, strict=True)
-        )
-        # friction left after settling is not quite normal: less freedom, so that the test does not overstate
-        own, other = (REST.scatter_freedom * count for count in self.freedom)
-        return np.asarray(fdtrc(own, other, above / below), dtype=float)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class StructureTest:
     """Distribution of the residuals of one problem and fit under noise alone, for any number of draws.
 
@@ -96,8 +57,10 @@ class StructureTest:
     axes : number of axes N
     basis : orthonormal basis of the fit's columns
     freedom : (3 N,) degrees of freedom of each noise group
-    by_pose_pairs : by axis
-    scatter : by axis
+    by_pose_pairs : by axis, (count, mean, std)
+        Of pairs of half-sums of one axis and pose in different visits: their number. Mean and standard deviation, under
+        noise alone, of the sum of their products in standardised residuals.
+    scatter : by axis, (freedom of half-sums, freedom of half-differences, smallest variance of either)
     """
 
     group: Ints
@@ -106,8 +69,8 @@ class StructureTest:
     axes: int
     basis: Basis
     freedom: Floats
-    by_pose_pairs: dict[int, _PoseCorrelation]
-    scatter: dict[int, _Scatter]
+    by_pose_pairs: dict[int, tuple[int, float, float]]
+    scatter: dict[int, tuple[float, float, float]]
 
     @classmethod
     def of(cls, problem: RestProblem, fit: Fit) -> StructureTest:
@@ -122,11 +85,10 @@ class StructureTest:
             count = np.bincount(pose[rows])
             pairs = int((count * (count - 1)).sum()) // 2
             if pairs >= REST.least_pairs:
-                by_pose_pairs[number] = _correlation_moments(basis.of(rows), pose[rows], pairs)
+                by_pose_pairs[number] = pairs, *_correlation_moments(basis.of(rows), pose[rows], pairs)
             own = float(freedom[number]), float(freedom[number + axes])
             if min(own) >= REST.least_freedom:
-                least = float(fit.noise.least[number] / fit.noise.std[number]) ** 2
-                scatter[number] = _Scatter(own, least)
+                scatter[number] = *own, float(fit.noise.least[number] / fit.noise.std[number]) ** 2
         return cls(group, axis, pose, axes, basis, freedom, by_pose_pairs, scatter)
 
     def moments(self, first: Floats, second: Floats) -> Moments:
@@ -162,13 +124,21 @@ class StructureTest:
         rms = np.sqrt(np.maximum(squares, 0.0) / np.maximum(self.freedom, 1.0)[:, None])
         rms = np.maximum(rms, np.finfo(float).tiny)
         by_axis: dict[int, list[Floats]] = {}
-        for axis, test in self.by_pose_pairs.items():
+        for axis, (count, mean, std) in self.by_pose_pairs.items():
             kinds = [axis, axis + 2 * self.axes]
             products = np.einsum("kld,kd,ld->d", moments.by_pose[axis], 1.0 / rms[kinds], 1.0 / rms[kinds])
             products -= ((np.sqrt(np.maximum(squares[kinds], 0.0)) / rms[kinds]) ** 2).sum(axis=0)
-            by_axis[axis] = [test.chance(0.5 * products)]
-        for axis, test in self.scatter.items():
-            by_axis.setdefault(axis, []).append(test.chance(squares[axis], squares[axis + self.axes]))
+            # probability of an equal or larger correlation under noise alone: upper tail of a standardised sum of
+            # products of normals, half the difference of two chi-squares
+            score = (0.5 * products - mean) / std
+            by_axis[axis] = [np.exp(np.interp(score, _SCORES, _log_product_tail(count)))]
+        for axis, (of_sums, of_differences, least) in self.scatter.items():
+            # excess scatter of half-sums over half-differences. Friction left after settling is not quite normal:
+            # less freedom, so that the test does not overstate
+            above = np.maximum(squares[axis] / of_sums, least)
+            below = np.maximum(squares[axis + self.axes] / of_differences, least)
+            own, other = REST.scatter_freedom * of_sums, REST.scatter_freedom * of_differences
+            by_axis.setdefault(axis, []).append(np.asarray(fdtrc(own, other, above / below), dtype=float))
         if not by_axis:
             return np.ones(squares.shape[1])
         each = [pooled(chances) for chances in by_axis.values()]
@@ -274,15 +244,15 @@ def pooled(chances: Iterable[Floats], weight: Floats | None = None) -> Floats:
     return np.asarray(ndtr(-(shares @ scores) / np.sqrt(np.sum(shares**2))), dtype=float)
 
 
-def _correlation_moments(basis: Floats, pose: Ints, count: int) -> _PoseCorrelation:
-    """Moments of the sum of pair products of `(1 - B B') noise`, a quadratic form `noise' P A P noise`.
+def _correlation_moments(basis: Floats, pose: Ints, count: int) -> tuple[float, float]:
+    """Mean and std of the sum of pair products of `(1 - B B') noise`: a quadratic form `noise' P A P noise`.
 
     A has 1/2 for every pair of rows of one pose, so a row of `A B` is half the sum of the others of its pose.
     """
     image = 0.5 * (_sums(basis, pose, int(pose.max()) + 1)[pose] - basis)
     inner = basis.T @ image
     variance = 2.0 * (0.5 * count - 2.0 * float((image**2).sum()) + float((inner * inner.T).sum()))
-    return _PoseCorrelation(count, -float(np.trace(inner)), float(np.sqrt(max(variance, 1e-12))))
+    return -float(np.trace(inner)), float(np.sqrt(max(variance, 1e-12)))
 
 
 def _sums(rows: Floats, place: Ints, count: int) -> Floats:

@@ -145,7 +145,8 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
             families[switched[0]] = [position]
         elif np.isfinite(size).all() and float(np.linalg.norm(size)) >= REST.inert:
             by_groups.setdefault(columns.changed, []).append(position)
-    weighed = Weighed()
+    # position, Gram matrix (k, k) and score (k,) of each candidate, by its number of columns, in units of their prior
+    weighed: dict[int, list[tuple[int, Floats, Floats]]] = {}
     for members in by_groups.values():
         rows = derivatives[terms[members[0]]].rows
         blocks = [derivatives[terms[k]].values[:, : len(spread[k])] * (weight[rows, None] * spread[k]) for k in members]
@@ -154,14 +155,19 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
         ends = np.cumsum([block.shape[1] for block in blocks])
         for position, block, end in zip(members, blocks, ends, strict=True):
             own = slice(end - block.shape[1], end)
-            weighed.add(position, block.T @ block - taken[:, own].T @ taken[:, own], score[own])
+            gram = block.T @ block - taken[:, own].T @ taken[:, own]
+            weighed.setdefault(len(gram), []).append((position, gram, score[own]))
     for family, members in families.items():
         columns = derivatives[family]
         scaled = columns.values * (weight[columns.rows, None] * spread[members[0]])
         times = np.array([switch_s(terms[position]) for position in members])
         for change, gram, score in _changes(problem, times, scaled, columns.rows, basis, residual):
-            weighed.add(members[change], gram, score)
-    kept, log_bayes = weighed.result()
+            weighed.setdefault(len(gram), []).append((members[change], gram, score))
+    tried = [tuple(zip(*candidates, strict=True)) for candidates in weighed.values()]
+    place = np.array([position for positions, _, _ in tried for position in positions], dtype=int)
+    factors = [log_bayes_factor(np.array(grams), np.array(scores)) for _, grams, scores in tried]
+    order = np.argsort(place)
+    kept, log_bayes = place[order], np.concatenate([np.zeros(0), *factors])[order]
     chosen = tuple(terms[position] for position in kept)
 
     def weighted(index: int) -> Floats:
@@ -191,27 +197,6 @@ def _spread(
     size = columns.size(fit.noise.std) / np.sqrt(max(len(problem.rows), 1))
     spread = plausible_spread(term, size)[: term.count]
     return spread, columns.size(std)[: term.count] * spread
-
-
-@dataclass(slots=True, eq=False)
-class Weighed:
-    """Gram matrices and scores of projected candidates, by candidate index."""
-
-    place: dict[int, list[int]] = field(default_factory=dict)
-    gram: dict[int, list[Floats]] = field(default_factory=dict)
-    score: dict[int, list[Floats]] = field(default_factory=dict)
-
-    def add(self, place: int, gram: Floats, score: Floats) -> None:
-        """Add one candidate with columns in units of their prior standard deviation."""
-        for values, value in ((self.place, place), (self.gram, gram), (self.score, score)):
-            values.setdefault(len(gram), []).append(value)  # type: ignore[arg-type]
-
-    def result(self) -> tuple[Ints, Floats]:
-        """Indices (candidates,) in ascending order, and log Bayes factor (candidates,) of each."""
-        place = np.array([value for places in self.place.values() for value in places], dtype=int)
-        each = [log_bayes_factor(np.array(self.gram[k]), np.array(self.score[k])) for k in self.place]
-        order = np.argsort(place)
-        return place[order], np.concatenate([np.zeros(0), *each])[order]
 
 
 def _changes(

@@ -19,7 +19,7 @@ from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
-from gateway.result.interval import TWO_SIDED_95
+from gateway.result.numerals import TWO_SIDED_95
 from gateway.result.result import Verdict
 
 Floats = NDArray[np.float64]

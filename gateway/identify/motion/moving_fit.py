@@ -3,13 +3,15 @@
 The baseline of the field: base parameters of the full regressor with friction, axes weighted by their residual. Rows in
 which an axis is slower than a share of its speed limit are not used on that axis: friction at rest is a set. Residuals
 of filtered data are autocorrelated; the covariance is widened by their correlation. Effects of the library are further
-columns of the same model: a fit without any is the one that an estimate reports.
+columns of the same model: a fit without any is the one that an estimate reports. The link masses of the robot model are
+tested against the rows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,22 +20,21 @@ from scipy.sparse import csr_array
 from gateway.data.periods import uninterrupted
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
-from gateway.identify.conflict import without_placeholder
+from gateway.identify.alternatives import LINK_SCALE, wider_links
+from gateway.identify.conflict import dropped, links_finding, without_placeholder
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate, refused_load
-from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
-from gateway.identify.motion.convergence import Settled, settle
-from gateway.identify.motion.effects import Effects, SeenEffects
+from gateway.identify.motion.columns import Columns, Effects, MovingSetup, SeenEffects, moving_columns
 from gateway.identify.motion.periods import Periods, averaged
-from gateway.identify.motion.prior import gains_prior, held_to_friction, losses_seen, with_common_part, with_run_scatter
-from gateway.identify.motion.problem import MotionProblem, Still, about, solved
+from gateway.identify.motion.prior import gains_prior, held_to_friction, with_common_part, with_run_scatter
+from gateway.identify.motion.problem import MotionProblem, Settled, Still, about, settle, solved
 from gateway.identify.motion.rest_rows import columns_beside
-from gateway.identify.motion.statements import NEARLY_EXACT, contradicted_links, contradiction
 from gateway.identify.motion.stretches import Stretches
 from gateway.identify.motion.uncertainty import MovingSpread, correlation_times, spread_of
 from gateway.identify.nuisance import BIAS_SHARE, gain_stds
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.linear import Fit
+from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.identify.solve import Solution, determined
 from gateway.model.motion import at_links, turns
 from gateway.model.placeholders import wide_inertia
@@ -54,6 +55,8 @@ _WEIGHTED_AGAIN = 2
 _MOST_REWEIGHTINGS = 10.0
 #: Least standard deviation of a torque, as a share of its size, so that priors are not lost by rounding.
 _FINEST = 1e-5
+#: Prior of link masses that are stated as exact, for their test.
+NEARLY_EXACT: Final = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,8 +258,8 @@ def _with_gains(problem: MotionProblem, knowledge: Knowledge, before: MotionFit 
         return problem
     prior = columns.prior
     if before is not None and "load_friction" in columns.nuisances:
-        lost = losses_seen(prior, columns.nuisances, before.value, before.std)
-        prior = gains_prior(prior, columns.nuisances, gain_stds(knowledge.gain_std, len(lost)), lost)
+        constants = gain_stds(knowledge.gain_std, len(columns.nuisances["gain"]))
+        prior = gains_prior(prior, columns.nuisances, constants, before.value, before.std)
     prior = with_common_part(prior, columns.nuisances["gain"])
     return replace(problem, columns=replace(columns, prior=prior.freed(columns.taken)))
 
@@ -317,3 +320,80 @@ def _residual_rms(problem: MotionProblem, solution: Solution) -> Floats:
     ends = np.cumsum([len(part.factor) for part in problem.parts])[:-1]
     lengths = [float(np.linalg.norm(left)) for left in np.split(solution.residual, ends)]
     return np.array(lengths) / np.sqrt([len(part.rows) for part in problem.parts])
+
+
+def contradicted_links(columns: Columns, solution: Solution, knowledge: Knowledge, unloaded: bool) -> Knowledge | None:
+    """Return the knowledge with the link prior that the rows support; None if that is the stated one.
+
+    They are dropped only where the arm was measured `unloaded`: else load and last link could not be separated.
+
+    Another prior has a marginal likelihood over that of the stated one. It is the mean of the ratio of both densities
+    over the posterior of the fit, Gaussian and so in closed form.
+    """
+    links = columns.links
+    rows = columns.prior.rows[:, links]
+    precision = rows.T @ rows
+    held = np.diag(precision) > 0.0
+    if not held.any():
+        return None
+    precision, mean = precision[np.ix_(held, held)], columns.prior.mean[links][held]
+    covariance = solution.covariance[np.ix_(links[held], links[held])]
+    step = solution.value[links][held] - mean
+
+    def odds(change: Floats, log_density: float) -> float:
+        """Log odds of a prior whose precision differs by `change`, with the change of its normalisation."""
+        mixed = np.eye(len(step)) + covariance @ change
+        pull = float(step @ change @ np.linalg.solve(mixed, step))
+        return log_density - 0.5 * (float(np.linalg.slogdet(mixed)[1]) + pull)
+
+    trust, best, found = knowledge.trust, CONFLICT.log_odds, None
+    for wider in wider_links(trust):
+        ratio = trust / wider
+        value = odds((ratio**2 - 1.0) * precision, len(step) * float(np.log(ratio)))
+        if value > best:
+            best, found = value, replace(knowledge, link_std=wider)
+    tied = precision @ mean
+    size = LINK_SCALE**2 * float(mean @ tied)
+    if odds(-np.outer(tied, tied) * LINK_SCALE**2 / (1.0 + size), -0.5 * float(np.log1p(size))) > best:
+        return replace(knowledge, link_std=np.inf if unloaded else LINK_SCALE)
+    return dropped(knowledge, found) if found is not None and unloaded else found
+
+
+def contradiction(
+    stated: Columns, measured: tuple[Columns, Floats, Floats], rows: Mask, trust: float
+) -> Finding | None:
+    """Report the axis on which the measured torque of the bodies differs most from the robot model.
+
+    Parameters
+    ----------
+    stated : Columns
+        With the prior that is contradicted.
+    measured : Columns, array of shape (p,), array of shape (p, p)
+        With the wider prior: parameters and their covariance.
+    rows : bool array of shape (n, N)
+        Of the unloaded arm, where an axis is used.
+    trust : float
+        Relative standard deviation of the link masses now.
+
+    Returns
+    -------
+    Finding or None
+        None where both agree within the uncertainty.
+    """
+    columns, value, covariance = measured
+    own, links = columns.links, stated.links
+    expected_nm = stated.design[:, :, links] @ stated.prior.mean[links]
+    found_nm = columns.design[:, :, own] @ value[own]
+    part = covariance[np.ix_(own, own)]
+    spread = np.einsum("nak,kl,nal->na", columns.design[:, :, own], part, columns.design[:, :, own], optimize=True)
+
+    def rms(values: Floats) -> Floats:
+        return np.sqrt((values * rows).sum(axis=0) / np.maximum(rows.sum(axis=0), 1))
+
+    std = np.maximum(rms(spread), 1e-9)
+    away = rms((found_nm - expected_nm) ** 2) / std
+    axis = int(np.argmax(away))
+    if away[axis] <= CONFLICT.shown:
+        return None
+    torque = float(rms(expected_nm**2)[axis]), float(rms(found_nm**2)[axis]), float(std[axis])
+    return links_finding(axis, torque, "in motion (rms)", trust)

@@ -7,17 +7,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS, budget_by_priors
-from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
-from gateway.identify.load_estimate import LoadEstimate, load_from_moment
+from gateway.identify.inertia import LoadInertia, is_body, load_inertia, nearest_body
+from gateway.identify.load_estimate import (
+    CONSTANTS,
+    DRIFT,
+    FRICTION,
+    LINKS,
+    LoadEstimate,
+    budget_by_priors,
+    load_from_moment,
+)
 from gateway.identify.motion.columns import NUISANCES
-from gateway.identify.motion.friction import FALL, Fall, shown_fall
 from gateway.identify.motion.moving_fit import FittedMotion, MotionFit
-from gateway.identify.motion.prior import UNTOLD
+from gateway.identify.motion.prior import FALL, UNTOLD, Fall, shown_fall
 from gateway.identify.prior_loads import load_functions
 from gateway.identify.solve import determined
 from gateway.model.robot import Robot, reach_m
-from gateway.result.interval import holds_zero
+from gateway.result.numerals import holds_zero
 from gateway.result.result import AxisMotion, NuisanceResult
 
 Floats = NDArray[np.float64]
@@ -65,7 +71,7 @@ def _body(ten: Floats, covariance: Floats) -> tuple[Floats, LoadInertia | None]:
     if not ten[0] > 0 or holds_zero(float(ten[0]), float(np.sqrt(covariance[0, 0]))):
         return ten[:4], None
     body = nearest_body(ten, covariance)
-    return body.ten[:4], load_inertia(body, covariance)
+    return body[:4], load_inertia(body, covariance, free=is_body(ten))
 
 
 def nuisances(fit: MotionFit) -> dict[str, NuisanceResult]:

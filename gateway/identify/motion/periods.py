@@ -18,12 +18,12 @@ from scipy.sparse import csr_array
 
 from gateway.data.periods import EXCITATION, MOTION_HZ, PERIOD, PHASE_S, repeats, uninterrupted
 from gateway.data.rows import Table, concatenate, numbered
-from gateway.identify.correlation import correlation_time
 from gateway.identify.motion.problem import Contrasts
 from gateway.identify.motion.stretches import Stretches
 from gateway.identify.motion.uncertainty import Scatter
-from gateway.identify.rest.gain_changes import occasions_of
+from gateway.identify.rest.rest_nuisance import occasions_of
 from gateway.identify.robust import median
+from gateway.identify.spread import correlation_time
 from gateway.result.result import Finding, SetAside
 
 Floats = NDArray[np.float64]

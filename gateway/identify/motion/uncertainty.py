@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from gateway.identify.correlation import correlation_time
-from gateway.identify.motion.convergence import Settled
-from gateway.identify.motion.problem import MotionProblem, in_basis, part_columns
-from gateway.identify.spread import by_blocks, wider
+from gateway.identify.motion.problem import MotionProblem, Settled, in_basis, part_columns
+from gateway.identify.spread import by_blocks, correlation_time, wider
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]

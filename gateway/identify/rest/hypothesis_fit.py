@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_softmax
 
-from gateway.identify.repeats import FEWEST_REPEATS
 from gateway.identify.rest.linear import (
     Fit,
     Noise,
@@ -31,7 +30,7 @@ from gateway.identify.rest.linear import (
 )
 from gateway.identify.rest.place_effects import PlaceEffects, likeliest_effects
 from gateway.identify.rest.rest_thresholds import REST_MODEL
-from gateway.identify.rest.start_noise import first_noise
+from gateway.identify.rest.start_noise import FEWEST_REPEATS, first_noise
 from gateway.identify.solve import Prior, solve
 from gateway.model.term import Term
 

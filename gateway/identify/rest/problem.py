@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
 from gateway.identify.knowledge import EXACT, Knowledge
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
-from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, gain_stds, losses, nuisance_prior
+from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, bias_std_nm, gain_stds, losses
 from gateway.identify.prior_loads import bare_rows, load_vector, refuse_absent, stored_errors, unknown_labels
-from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import RestProblem
-from gateway.identify.rest.rest_nuisance import RestNuisance
+from gateway.identify.rest.rest_nuisance import GainChanges, RestNuisance
 from gateway.model.rest import Model
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, column_medians
 
 Floats = NDArray[np.float64]
+
 #: Prior standard deviation [kg] and [kg m] of an unknown link: a hundred times that of any arm.
 OPEN_MASS_KG = 1e3
 OPEN_MOMENT_KG_M = 1e3
@@ -115,10 +113,9 @@ def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None 
     lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
     if changes is None:
         changes = GainChanges.of(rows, gain_std, knowledge.change)
-    prior = nuisance_prior(gain_std, band, lost)
     # without approach directions friction is a constant and a share of the torque, of unknown sign
     unknown = sides_unknown(rows)
-    prior = replace(prior, bias_std_nm=np.where(unknown, SIDE_UNSEEN * size, prior.bias_std_nm))
+    bias = np.where(unknown, SIDE_UNSEEN * size, bias_std_nm(band, lost))
     friction = np.where(unknown, LOAD_FRICTION + LOAD_FRICTION_STD, 0.0)
-    prior = RestNuisance.of(prior, gain_std, lost, changes, knowledge.measured_gain, friction)
+    prior = RestNuisance.of(gain_std, bias, lost, changes, knowledge.measured_gain, friction)
     return prior if knowledge.bare is None else prior.held_elsewhere(stored_errors(knowledge.bare))

@@ -10,9 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS, NOISE, Sources, budget_of
 from gateway.identify.load_estimate import (
+    CONSTANTS,
+    DRIFT,
+    FRICTION,
+    LINKS,
+    NOISE,
     LoadEstimate,
+    Sources,
+    budget_of,
     load_directions,
     load_from_moment,
     load_result,
@@ -27,6 +33,7 @@ from gateway.result.result import LoadResult, NuisanceResult
 from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
+
 #: Least information of a pose about the mass, over that of the best pose, for a mass of its own.
 _INFORMATIVE: Final = 0.05
 #: Share of a variance that is rounding.

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from gateway.cli import main
 from gateway.result.drawn import Drawn
-from gateway.result.follow import read_follow
+from gateway.result.follow import follow_from_json
 from gateway.result.result import LoadResult, Result, to_json
 from tests.support.follow import rig
 from tests.support.follow.rig import peaks
@@ -52,7 +52,7 @@ def drives(place, tmp_path_factory):
 def right(place, drives):
     report = place.folder / "right.html"
     command = rig.follow_command(place, drives, place.result, report)
-    return command, read_follow(report.with_suffix(".json")), report.read_text()
+    return command, follow_from_json(report.with_suffix(".json").read_text(), "follow.json"), report.read_text()
 
 
 def test_the_identified_load_is_followed_better_than_the_maximum_and_far_better_than_none(right):
@@ -78,7 +78,7 @@ def test_a_load_20_percent_off_shows_as_a_trend_and_fails(place, drives, right, 
         command = rig.follow_command(place, drives, place.result_with("heavy", factor), place.folder / "heavy.html")
         assert command.exit_code == 7, command.output
         assert "identify it again" in command.output
-        result = read_follow(place.folder / "heavy.json")
+        result = follow_from_json((place.folder / "heavy.json").read_text(), "follow.json")
         assert "tag fail" in (place.folder / "heavy.html").read_text()
     else:
         request = place.path, place.result_with("light", factor)

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.pair.clock import PERIOD_S, Cycles, attempt, stepped
 from drives.errors import DriveFault, MasterStalled
-from gateway.pair.force_guard import cause_of
+from gateway.pair.force import cause_of
 from gateway.pair.pair_motion import PairStopped
 from sim.pair.cell import PLANTS
 from sim.pair.light import LightWorld

@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.pair.bus_rig import bus_spec, simulated
 from gateway.errors import FindingFailed
-from gateway.pair.link import open_link
 from gateway.pair.pair_cell import load_pair
+from gateway.pair.session import open_link
 
 
 def test_a_turned_polarity_of_the_slave_refuses_both_arms() -> None:

@@ -11,12 +11,11 @@ from benchmarks.pair.bus_rig import NO_LIMIT_N, PairRig, pair_rig
 from drives.errors import DriveError
 from gateway.errors import PlanRefused
 from gateway.motion.power import powered
-from gateway.pair.embodiments import EMBODIMENTS, with_gains
+from gateway.pair.controller import EMBODIMENTS, with_gains
 from gateway.pair.pair_motion import PairMotion, PairMotionOptions, PairStopped, refuse_elsewhere
 from gateway.pair.pair_run import PairRun
 from gateway.pair.session import cell_gains
-from gateway.pair.taught_path import TaughtPath, taught_path_from_json
-from gateway.pair.teach import Teacher, TeachRule
+from gateway.pair.teach import TaughtPath, Teacher, TeachRule, taught_path_from_json
 from gateway.pair.transform_function import constant_function
 from sim.fake_drive import FakeDrive
 from sim.states import PdsState

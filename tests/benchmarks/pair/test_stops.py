@@ -27,7 +27,7 @@ from drives.files import read_sealed, write_sealed
 from gateway.cli import main
 from gateway.data.blackbox.box import read_box
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
-from gateway.pair.embodiments import EMBODIMENTS, with_gains
+from gateway.pair.controller import EMBODIMENTS, with_gains
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairMotionOptions, PairStopped
 from gateway.pair.pair_run import PairRun

@@ -12,8 +12,8 @@ from gateway.acquire.planning import expectation, make_plan, plan_of_poses, visi
 from gateway.acquire.poses import DISTANCE_RAD, RestPose, choose_poses, feasible_postures, read_poses
 from gateway.acquire.route import find_route
 from gateway.errors import InputError, PlanRefused
+from gateway.estimate.recommendation import payload_information
 from gateway.model.arm_model import robot_text
-from gateway.model.information import payload_information
 from gateway.model.kinematics import flange_frames
 from gateway.motion.assumed import assumed_noise_nm
 from gateway.motion.joint_path import path_points

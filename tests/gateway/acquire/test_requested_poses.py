@@ -11,7 +11,7 @@ import pinocchio
 import pytest
 
 from gateway.acquire.planning import asked_by, plan_asked, postures_to_ask
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import InputError, PlanRefused
 from gateway.model.arm_model import arm_robot, robot_text
 

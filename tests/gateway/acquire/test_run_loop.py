@@ -10,7 +10,7 @@ from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, 
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.run_loop import rest_visits
 from gateway.acquire.visit_store import MemoryStore
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import SAFE, Phase

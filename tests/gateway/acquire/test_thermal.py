@@ -10,7 +10,7 @@ import pytest
 
 from gateway.acquire import thermal
 from gateway.acquire.thermal import blocks_of, warm_up
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 
 POSES = tuple(RestPose(number, (0.1 * number, 0.0), "fit") for number in (1, 2, 3))
 

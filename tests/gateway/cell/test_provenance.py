@@ -6,7 +6,7 @@ import pytest
 
 from drives.profile_file import list_profiles, load_profile
 from gateway.cell.config import load_cell
-from gateway.cell.provenance import provenance
+from gateway.pipeline.finalize import provenance
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 

@@ -226,8 +226,8 @@ def test_a_drive_that_has_stopped_by_itself_is_no_contact(rig):
     slaves[3].at_sync = gives_up
     arm = type(opened.group.drives[3]).arm
 
-    def impatient(drive, master):
-        arm(drive, master)
+    def impatient(drive):
+        arm(drive)
         slaves[3].values[0x1016, 1] = 127 << 16 | 250
 
     opened.group.drives[3].arm = impatient.__get__(opened.group.drives[3])  # type: ignore[method-assign]

@@ -8,7 +8,7 @@ import pytest
 from drives.profile_file import load_profile
 from drives.torque_signals import TorqueSignals
 from gateway.cell.config import AxisConfig
-from gateway.check.torque import judge_torque
+from gateway.check.moves import judge_torque
 from gateway.preflight.rules import Axis
 from tests.data.axes import axis_table
 

@@ -14,7 +14,7 @@ from gateway.cli import main
 from gateway.data.archive import is_safe
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
-from gateway.result.differences import differences
+from gateway.result.compare import differences
 
 SMALL = Path(__file__).parents[3] / "examples" / "small"
 BAND_NM = np.array([4.0, 4.0, 2.0, 0.6, 0.5, 0.3])

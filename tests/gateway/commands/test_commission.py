@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gateway.acquire.goto import transfer_from_here
 from gateway.acquire.plan import VisitSettings
 from gateway.acquire.thermal import Block, blocks_of
 from gateway.cell.config import KeepOut
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.jobs.commission import Job, _Robot
+from gateway.jobs.frame import Operator
 from gateway.model.arm_model import arm_robot
+from gateway.motion.joint_path import angles
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
 from tests.support.rigs.brakes import in_brakes
@@ -27,14 +28,15 @@ POSE = RestPose(1, (-0.3, 0.1, 0.1, 0.1, 0.1, 0.1), "fit")
 
 
 @dataclass
-class Listener:
+class Person:
     """A person who agrees, and what was done with the arm, in order."""
 
     loaded: object
     done: list[str] = field(default_factory=list)
     overrides: list[float] = field(default_factory=list)
     keeping: bool = False
-    asked: str = ""
+    announced: str = ""
+    agreed: str = ""
 
     @contextmanager
     def last_seconds(self, options, opened) -> Generator[None]:
@@ -42,33 +44,30 @@ class Listener:
         yield
         self.keeping = False
 
-    def announced(self, _opened, target, _plan, _options) -> None:
-        self.asked = f"will move to {target}. Is the area clear of people?"
-
     def ask(self, question, _meanwhile) -> None:
-        assert question.endswith(self.asked)
-        self.asked = ""
-
-    def bring(self, opened, target, plan, options) -> None:
-        assert not self.asked, "announced and asked before"
-        assert transfer_from_here(opened, target, plan) is plan, "planned once"
-        assert self.keeping, "a path that ends in a fault leaves a black box"
-        self.done.append(str(target))
-        self.overrides.append(options.override)
+        self.agreed = question
 
     def mount(self, label, _opened) -> None:
         self.done.append(f"mount {label}")
 
-    def measure(self, *_arguments) -> None:
-        self.done.append("measure")
+    def go(self, _opened, plan, _listeners, options) -> None:
+        there = angles(plan.poses[0].q_rad if plan.poses else plan.steps[-1].q_rad)
+        assert there in self.announced
+        assert there in self.agreed, "announced, then asked"
+        assert self.keeping, "a path that ends in a fault leaves a black box"
+        self.done.append(f"go to {there}")
+        self.overrides.append(options.override)
 
     def say(self, text) -> None:
-        self.done.append(text)
+        if " goes from " in text:
+            self.announced = text
+        else:
+            self.done.append(text)
 
 
 @pytest.fixture
-def robot(small_cell, workspace, arm, tmp_path):
-    def make(loading, override=1.0, surroundings=workspace, warm_up_s=None) -> tuple[Any, Listener]:
+def robot(small_cell, workspace, arm, tmp_path, monkeypatch):
+    def make(loading, override=1.0, surroundings=workspace, warm_up_s=None) -> tuple[Any, Person]:
         config = small_cell.cell.arm[0].model_copy(update={"loading_rad": loading})
         timing = SimpleNamespace(pacing="lockstep", period_s=0.01)
         opened: Any = SimpleNamespace(
@@ -78,12 +77,15 @@ def robot(small_cell, workspace, arm, tmp_path):
             arm=arm,
             group=SimpleNamespace(timing=timing, gate=in_brakes),
         )
-        listener: Any = Listener(small_cell)
-        job = Job(
-            listener, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), warm_up_s=warm_up_s
+        person: Any = Person(small_cell)
+        operator = Operator(
+            ask=person.ask, mount=lambda label, _opened: person.done.append(f"mount {label}"), say=person.say
         )
+        monkeypatch.setattr("gateway.jobs.measure.go", person.go)
+        monkeypatch.setattr("gateway.jobs.measure.record_plan", lambda *_arguments: person.done.append("measure"))
+        job = Job(person, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), warm_up_s=warm_up_s)
         plan: Any = SimpleNamespace(poses=(POSE,), settings=VisitSettings(0.03, 0.05, 2.0, 40, 0.01))
-        return _Robot(job, listener, opened, plan), listener
+        return _Robot(job, operator, opened, plan), person
 
     return make
 
@@ -93,7 +95,7 @@ def test_it_goes_there_slowly_before_each_load_and_not_before_the_bare_arm(robot
     made, person = robot(LOADING, override)
     for label in ("none", "a", "b"):
         made.measure_load(Block(label, (POSE,)))
-    there = "the loading posture, [0.300, 0.500, 0.600, 0.000, 0.400, 0.000] rad"
+    there = "go to [0.300, 0.500, 0.600, 0.000, 0.400, 0.000] rad"
     assert person.done == ["measure", there, "mount a", "measure", there, "mount b", "measure"]
     assert person.overrides == [slow, slow]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.acquire.events import PeriodDone, Started
 from gateway.commands.console import Bar, Session
-from gateway.commands.progress import ProgressListener
+from gateway.commands.terminal import ProgressListener
 
 
 def period(number: int, *, complete: bool = True, lost: int = 0, speed: float = 1.0) -> PeriodDone:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.data.periodic import by_harmonics, by_low_pass
+from gateway.data.periods import by_harmonics, by_low_pass
 
 PERIOD_S, RATE_HZ = 8.0, 250.0
 N = int(PERIOD_S * RATE_HZ)

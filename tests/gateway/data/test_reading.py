@@ -9,9 +9,8 @@ import pytest
 
 from gateway.cell.config import load_cell
 from gateway.cell.conversion import AxisConversion
-from gateway.data.reading import read_data
 from gateway.data.recording.reader import read
-from gateway.data.table import write_csv
+from gateway.data.table import read_data, write_csv
 from gateway.errors import InputError
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"

@@ -14,7 +14,7 @@ from gateway.diagnose import diagnose
 from gateway.errors import DataUnusable
 from gateway.estimate import run
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.repeats import negative_bands
+from gateway.identify.rest.start_noise import negative_bands
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.result.result import Result
 from tests.data.arms import carrying, peer_of, sines, torque_of, urdf_of

@@ -29,15 +29,13 @@ INSIDE = {
     "diagnose/moving/moving_mistakes.py": 1,
     "diagnose/moving/moving_outcome.py": 1,
     "diagnose/moving/parameters.py": 1,
-    "diagnose/moving/refine.py": 2,
-    "diagnose/moving/select.py": 4,
-    "diagnose/moving/residual_motion_dependence.py": 2,
+    "diagnose/moving/select.py": 8,
     "diagnose/rest/verdict.py": 3,
     "identify/rest/hypothesis_fit.py": 3,
     "identify/rest/linear.py": 6,
     "identify/rest/rest_loads.py": 3,
     "diagnose/rest/rest_outcome.py": 2,
-    "identify/rest/start_noise.py": 2,
+    "identify/rest/start_noise.py": 3,
 }
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.data.reading import read_data
-from gateway.data.table import write_csv
+from gateway.data.table import read_data, write_csv
 from gateway.errors import DataUnusable
 from gateway.estimate import estimate, run
 from gateway.identify.knowledge import Knowledge

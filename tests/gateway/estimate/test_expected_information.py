@@ -9,7 +9,7 @@ from gateway.acquire.until_goal import LEAST_POSES, LEAST_SAMPLES, MOST_POSES, N
 from gateway.data.table import concatenate
 from gateway.estimate.expected_information import PoseNoise, Sought, information_of_priors, take_stock
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.rejected import without_outliers
+from gateway.identify.outliers import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.visits import pair_visits
 from tests.data.resting_arm import Bench

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.estimate import estimate
-from gateway.estimate.consistency import physical_findings
-from gateway.estimate.describe import axis_sigma
+from gateway.estimate.estimate import axis_sigma, physical_findings
 from gateway.identify.knowledge import Knowledge
 from gateway.model.base import rest_base
 

@@ -56,6 +56,17 @@ def test_difference_of_one_sided_visits_keeps_what_friction_scatters(arm, poses,
 # ---------------------------------------------------------------- coefficient
 
 
+@pytest.mark.data
+def test_column_b_alone_is_refused_too(measured_data):
+    table = without_load(qh165(measured_data), "a")
+    result = run(table, None, Knowledge(link_std=np.inf), "coefficient", coefficient=COEFFICIENT)
+    assert result.failed
+    (load,) = from_json(to_json(result)).loads
+    assert load.label == "b"
+    assert "5 of 10 motor torques exceed the rated 23.875 Nm" in load.refused
+    assert [finding.where for finding in result.findings if finding.severity == "fail"] == ["load b"]
+
+
 def qh165(measured_data):
     return read_csv(measured_data / "qh165" / "table2.csv", None)
 

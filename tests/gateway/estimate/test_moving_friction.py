@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.identify.motion.friction import fall_columns, fall_speeds, shown_fall
-from gateway.identify.motion.prior import gains_prior, with_common_part
+from gateway.identify.motion.prior import fall_columns, fall_speeds, gains_prior, shown_fall, with_common_part
 from gateway.identify.nuisance import UNEVEN_LOSS
 from gateway.identify.solve import Prior
 
@@ -53,12 +52,13 @@ def test_gains_with_errors_in_common_keep_each_their_uncertainty():
 
 def test_a_loss_that_is_seen_says_how_uneven_it_may_be():
     prior = Prior(np.zeros(4), np.array([0.01, 0.01, 1.0, 1.0]), np.zeros((0, 4)), np.zeros(0))
-    found = gains_prior(prior, {"gain": np.array([0, 1])}, np.array([1e-9, 0.03]), np.array([0.1, 0.02]))
+    columns, std = {"gain": np.array([0, 1]), "load_friction": np.array([2, 3])}, np.zeros(4)
+    found = gains_prior(prior, columns, np.array([1e-9, 0.03]), np.array([0.0, 0.0, 0.1, 0.02]), std)
     # constants, half of what one efficiency leaves in the middle, how uneven the loss is, and the least of that
     assert found.std[0] == pytest.approx(np.linalg.norm([1e-9, 0.1**2 / 4.0, UNEVEN_LOSS * 0.1, 0.0015]), rel=1e-6)
     assert found.std[1] == pytest.approx(0.03, rel=0.01)
     np.testing.assert_allclose(found.mean[:2], np.array([0.1, 0.02]) ** 2 / 4.0)
     np.testing.assert_allclose(found.std[2:], 1.0)
     # a gear that loses nothing that shows may yet lose otherwise driven back
-    least = gains_prior(prior, {"gain": np.array([0, 1])}, np.array([1e-9, 1e-9]), np.zeros(2))
+    least = gains_prior(prior, columns, np.array([1e-9, 1e-9]), np.zeros(4), std)
     np.testing.assert_allclose(least.std[:2], 0.0015)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from gateway.estimate import recommendation
-from gateway.estimate.recommendation import cost_of_missing_axes, next_pose
-from gateway.identify.budget import CONSTANTS
+from gateway.estimate.recommendation import cost_of_missing_axes, next_pose, payload_information
 from gateway.identify.knowledge import Knowledge
-from gateway.model.information import payload_information
+from gateway.identify.load_estimate import CONSTANTS
 from gateway.model.regressor import load_regressor
 
 NAMES = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")

@@ -16,8 +16,8 @@ from gateway.excite.expected import (
     expected_stds,
     stds_of_all,
 )
-from gateway.excite.fourier_family import Family
 from gateway.excite.limits import States, point_acceleration_m_s2
+from gateway.excite.random_series import Family
 from gateway.feedforward.load import assumed_load
 from gateway.identify.links import body_parameters
 from gateway.model.arm_model import robot_text

@@ -14,10 +14,9 @@ from drives.profile_file import load_profile
 from gateway.cell.config import SourcedNumber, load_cell
 from gateway.errors import InputError
 from gateway.feedforward.dynamics import ArmDynamics
-from gateway.feedforward.identified import axis_constants, notes_of, read_identified, with_identified
+from gateway.feedforward.identified import axis_constants, drawn_parameters, notes_of, read_identified, with_identified
+from gateway.feedforward.law import axis_terms
 from gateway.feedforward.load import identified_load
-from gateway.feedforward.parameters import drawn_parameters
-from gateway.feedforward.terms import axis_terms
 from gateway.result.drawn import Drawn
 from gateway.result.result import AxisMotion, LoadResult, Result, to_json
 from tests.gateway.feedforward.conftest import EXAMPLES

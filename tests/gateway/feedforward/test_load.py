@@ -10,9 +10,9 @@ import pytest
 from drives.profile_file import load_profile
 from gateway.cell.config import SourcedNumber
 from gateway.errors import ConfigError, DataUnusable, InputError
+from gateway.feedforward.identified import corrected_parameters, drawn_parameters
+from gateway.feedforward.law import axis_terms
 from gateway.feedforward.load import check_origin, cube_inertia, identified_load, rated_load
-from gateway.feedforward.parameters import corrected_parameters, drawn_parameters
-from gateway.feedforward.terms import axis_terms
 from gateway.model.base import rest_base
 from gateway.model.regressor import gravity_regressor
 from gateway.result.drawn import Drawn

@@ -21,7 +21,7 @@ from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make
 from gateway.report.fleet_page import headline, render_fleet, render_robot
 from gateway.result.fleet import FleetHealth, RobotLine, read_fleet, read_robot
-from gateway.result.seal import sealed
+from gateway.result.origin import sealed
 from tests.data.fleets import FIRST, checks, one_by_one, write_table
 from tests.data.visits import ARM_HEADER, CELL, header_of, visit
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
-from gateway.fleet.correlated_noise import SHAPES, FittedLines, lines, sums
-from gateway.fleet.drift_detection import detectable, needed_sigmas, sigmas
+from gateway.fleet.correlated_noise import SHAPES, FittedLines, detectable, lines, needed_sigmas, sigmas, sums
 from gateway.fleet.history import CheckSeries
 from gateway.fleet.trends import NoiseShapes, active_columns, looks_of, noise_shapes_of, seen_likelihoods, trends_of
 from gateway.result.fleet import GAIN

@@ -12,8 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
-from gateway.formats.log_map import read_map, ready_maps
-from gateway.formats.units import unit_named
+from gateway.formats.log_map import read_map, ready_maps, unit_named
 
 ROWS, STEP_S = 60, 0.01
 NAMES = ["t", "q1", "q2", "m1", "m2"]

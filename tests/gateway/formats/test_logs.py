@@ -23,11 +23,11 @@ from mcap_ros2.writer import Writer
 from gateway.cli import main
 from gateway.data.table import read_csv
 from gateway.errors import InputError
-from gateway.formats import bag_database
-from gateway.formats.bag_database import BagDatabase
+from gateway.formats import ros_bag
+from gateway.formats.log_map import TIME_UNITS, UNITS
 from gateway.formats.mcap_file import JOINT_STATE, JOINT_STATE_TEXT
+from gateway.formats.ros_bag import BagDatabase
 from gateway.formats.smooth import rates
-from gateway.formats.units import TIME_UNITS, UNITS
 
 UR = """axes = 6
 [log]
@@ -277,7 +277,7 @@ class Interrupted(BaseException):
 def test_a_bag_that_computes_on_and_on_is_stopped(tmp_path, monkeypatch, raised, match):
     path = bag(tmp_path / "bag.db3")
     looks = iter(range(40))
-    monkeypatch.setattr(bag_database, "STEPS", 10)
+    monkeypatch.setattr(ros_bag, "STEPS", 10)
 
     def clock() -> float:
         """A signal is raised in whatever Python code runs, here the look at the clock; or the time is over."""
@@ -287,8 +287,8 @@ def test_a_bag_that_computes_on_and_on_is_stopped(tmp_path, monkeypatch, raised,
             return 1e9
         return 0.0
 
-    monkeypatch.setattr(bag_database, "time", SimpleNamespace(monotonic=clock))
-    with bag_database.open_bag(path) as file:
+    monkeypatch.setattr(ros_bag, "time", SimpleNamespace(monotonic=clock))
+    with ros_bag.open_bag(path) as file:
         opened = BagDatabase(path, file)
         with pytest.raises(raised, match=match):
             list(opened.messages(0))
@@ -301,7 +301,7 @@ def test_a_bag_gives_no_more_than_its_file_has(tmp_path):
         file.execute("CREATE TABLE messages (topic_id, timestamp, data AS (zeroblob(50000)))")
         file.executemany("INSERT INTO messages (topic_id, timestamp) VALUES (2, ?)", [[n] for n in range(100)])
         file.commit()
-    with bag_database.open_bag(path) as file, pytest.raises(InputError, match="more bytes than the file contains"):
+    with ros_bag.open_bag(path) as file, pytest.raises(InputError, match="more bytes than the file contains"):
         list(BagDatabase(path, file).messages(2))
 
 

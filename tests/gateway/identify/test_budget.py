@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.identify.budget import Sources, budget_by_priors, budget_of
+from gateway.identify.load_estimate import Sources, budget_by_priors, budget_of
 from gateway.identify.solve import ByGroup, Prior, solve
 
 

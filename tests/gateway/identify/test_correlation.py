@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.identify.correlation import correlation_time, counting_share
+from gateway.identify.spread import correlation_time, counting_share
 
 KEEP = 0.8
 

@@ -13,7 +13,7 @@ from tests.data.resting_arm import Bench
 
 #: Zero of the torque sensor of axis 2 [Nm].
 ZERO_NM = 40.0
-MADE_UP = """    NuisanceKind("sensor_zero", "offset_nm", lambda _: (0.0, 50.0), _added),
+MADE_UP = """    NuisanceKind("sensor_zero", "offset_nm", 0.0, 50.0, _added),
 )
 KINDS: Final ="""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from drives.errors import DriveFault, DriveRebooted
@@ -13,7 +14,12 @@ from tests.support.rigs.brakes import in_brakes
 
 
 def arm(name, gate=in_brakes, attend=lambda: None):
-    return SimpleNamespace(config=SimpleNamespace(name=name), group=SimpleNamespace(gate=gate, attend=attend))
+    return SimpleNamespace(
+        config=SimpleNamespace(name=name),
+        group=SimpleNamespace(gate=gate, attend=attend),
+        arm=SimpleNamespace(where=lambda: np.zeros(6)),
+        workspace=SimpleNamespace(path_into_range=lambda _q: None, why_not=lambda _q: None),
+    )
 
 
 def context(pair=None):
@@ -34,12 +40,13 @@ def test_an_arm_of_a_pair_moves_alone_with_open_grippers_only(arms, pair, questi
     assert asked == [question]
 
 
-def test_no_person_is_asked_about_an_arm_that_is_not_safe_to_approach():
+@pytest.mark.parametrize("reason", ["failure", "unsafe"])
+def test_no_person_is_asked_about_an_arm_that_cannot_be_enabled_or_approached(reason):
     def faulty(*, full):
         (drive,) = in_brakes(full=full).drives
-        return replace(in_brakes(full=full), drives=(replace(drive, failure=DriveFault("is energised", node=1)),))
+        return replace(in_brakes(full=full), drives=(replace(drive, **{reason: DriveFault("is in FAULT", node=1)}),))
 
-    with pytest.raises(DriveFault, match="is energised"):
+    with pytest.raises(DriveFault, match="is in FAULT"):
         ask_to_move(context(), [arm("one"), arm("two", faulty)], pytest.fail, "will move")
 
 

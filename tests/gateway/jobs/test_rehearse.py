@@ -15,8 +15,7 @@ from gateway.cli import main
 from gateway.errors import ConfigError, InputError
 from gateway.jobs.rehearse import detection, rehearse, summary
 from gateway.report.rehearsal_page import render_rehearsal
-from gateway.result.origin import Origin
-from gateway.result.seal import sealed
+from gateway.result.origin import Origin, sealed
 
 SMALL = Path(__file__).parents[3] / "examples" / "small"
 

@@ -11,8 +11,7 @@ from gateway.cell.config import LoadedCell, parse_cell
 from gateway.live.drawing import DIRECTIONS, shown_arm, shown_body
 from gateway.live.wire import ShownBody
 from gateway.model.arm_model import arm_robot
-from gateway.model.capsule import Capsule, capsule_around
-from gateway.model.solid import Solid, solid_box, solid_capsule
+from gateway.model.solid import Capsule, Solid, capsule_around, solid_box, solid_capsule
 from gateway.motion.workspace import workspace_of
 
 MESH = '<collision><geometry><mesh filename="package://arm/meshes/lost.stl"/></geometry></collision>'

@@ -10,11 +10,10 @@ import socket
 import pytest
 import uvicorn
 
-from gateway.live import idle_connections
+from gateway.live import page_process
 from gateway.live.guard import Door
-from gateway.live.idle_connections import MOST_WAITING, PunctualProtocol, most_connections
 from gateway.live.page_content import Show
-from gateway.live.page_process import config_of
+from gateway.live.page_process import MOST_WAITING, PunctualProtocol, config_of, most_connections
 from gateway.live.server import Pages, live_app
 from gateway.live.wire import Hello
 
@@ -64,7 +63,7 @@ def test_the_page_opens_beside_any_number_of_idle_connections():
 
 @pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n", b"\x16\x03\x01"])
 def test_a_connection_without_a_whole_request_is_closed(monkeypatch, sent):
-    monkeypatch.setattr(idle_connections, "REQUEST_S", 0.05)
+    monkeypatch.setattr(page_process, "REQUEST_S", 0.05)
 
     async def scenario() -> bytes:
         async with served() as port:
@@ -81,7 +80,7 @@ def test_a_connection_without_a_whole_request_is_closed(monkeypatch, sent):
 
 
 def test_an_open_feed_is_not_closed_for_being_quiet(monkeypatch):
-    monkeypatch.setattr(idle_connections, "REQUEST_S", 0.05)
+    monkeypatch.setattr(page_process, "REQUEST_S", 0.05)
 
     async def scenario() -> None:
         async with served() as port:

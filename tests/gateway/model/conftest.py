@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gateway.model.robot import Robot, robot_from_dh
 from tests.support.rigs.tables import make_table
 
 
@@ -18,6 +19,22 @@ def qh165_dh() -> SimpleNamespace:
         a_m=(0.0, 0.400, 1.100, 0.230, 0.0, 0.0),
         d_m=(0.0, 0.0, 0.0, 1.13456, 0.0, 0.244),
         theta_offset_rad=(0.0, -quarter, 0.0, 0.0, 0.0, 0.0),
+    )
+
+
+@pytest.fixture
+def six_axes() -> Robot:
+    """An arm by standard Denavit-Hartenberg parameters, without a parallel link."""
+    quarter = np.pi / 2
+    return robot_from_dh(
+        SimpleNamespace(
+            convention="standard",
+            alpha_rad=(quarter, 0.0, -quarter, quarter, -quarter, 0.0),
+            a_m=(0.15, 0.6, 0.1, 0.0, 0.0, 0.0),
+            d_m=(0.45, 0.0, 0.0, 0.64, 0.0, 0.1),
+            theta_offset_rad=(0.0,) * 6,
+        ),
+        "six axes",
     )
 
 

@@ -1,30 +1,13 @@
 """Base parameters: ranks known in closed form, same torque, and names that say what lumps."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from gateway.model.base import base_parameters, moving_base, rest_base
 from gateway.model.regressor import gravity_regressor, regressor
-from gateway.model.robot import robot_from_dh, robot_from_urdf
+from gateway.model.robot import robot_from_urdf
 
 TILTED = (1.0, -2.0, -9.5)
-
-
-@pytest.fixture
-def six_axes():
-    quarter = np.pi / 2
-    return robot_from_dh(
-        SimpleNamespace(
-            convention="standard",
-            alpha_rad=(quarter, 0.0, -quarter, quarter, -quarter, 0.0),
-            a_m=(0.15, 0.6, 0.1, 0.0, 0.0, 0.0),
-            d_m=(0.45, 0.0, 0.0, 0.64, 0.0, 0.1),
-            theta_offset_rad=(0.0,) * 6,
-        ),
-        "six axes",
-    )
 
 
 def test_ranks_of_the_closed_form(six_axes):

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.model.capsule import Capsule, capsule_around, capsule_of
 from gateway.model.mesh import MeshError
 from gateway.model.robot import LinkShape
+from gateway.model.solid import Capsule, capsule_around, capsule_of
 from gateway.model.urdf_shapes import Box, Cylinder, Mesh, Sphere
 
 #: A turn of 90 degrees about x and a shift: the shape's z points along -y of the link.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.model.information import payload_information
+from gateway.estimate.recommendation import payload_information
 from gateway.model.regressor import load_regressor
 from gateway.model.robot import robot_from_urdf
 

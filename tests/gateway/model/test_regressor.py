@@ -3,7 +3,6 @@
 import tempfile
 import tracemalloc
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pinocchio
@@ -11,7 +10,7 @@ import pytest
 
 from gateway.model import regressor as rows_of
 from gateway.model.kinematics import link_frames
-from gateway.model.robot import robot_from_dh, robot_from_urdf
+from gateway.model.robot import robot_from_urdf
 from tests.data.arms import link_parameters, peer_of, states, torque_of
 
 # pinocchio keeps [m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
@@ -81,18 +80,9 @@ def test_rest_rows_are_the_slope_of_the_potential_energy(random_urdf):
         np.testing.assert_allclose(rows_of.gravity_regressor(robot, q)[:, axis] @ phi, slope, rtol=1e-6, atol=1e-5)
 
 
-def test_vector_of_the_six_axis_arm_without_parallel_link():
-    quarter = np.pi / 2
-    table = SimpleNamespace(
-        convention="standard",
-        alpha_rad=(quarter, 0.0, -quarter, quarter, -quarter, 0.0),
-        a_m=(0.15, 0.6, 0.1, 0.0, 0.0, 0.0),
-        d_m=(0.45, 0.0, 0.0, 0.64, 0.0, 0.1),
-        theta_offset_rad=(0.0,) * 6,
-    )
-    robot = robot_from_dh(table, "six axes")
+def test_vector_of_the_six_axis_arm_without_parallel_link(six_axes):
     q = np.deg2rad([[0.0, 40.0, -100.0, 30.0, 50.0, -20.0]])
-    torque = rows_of.load_regressor(robot, q)[0] @ [10.0, 0.2, -0.3, 1.5]
+    torque = rows_of.load_regressor(six_axes, q)[0] @ [10.0, 0.2, -0.3, 1.5]
     np.testing.assert_allclose(torque, [0, 111.493545, 66.419567, -10.475956, 3.178560, 0.022018], rtol=1e-6, atol=1e-6)
 
 

@@ -9,13 +9,20 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from drives.bus import Bus, BusSpec
 from drives.errors import DriveFault, StopRequested
+from drives.group import DriveGroup
+from drives.profile_file import load_profile
+from drives.values import AxisSetup
 from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
+from tests.drives.conftest import Beside, Slave, Wire, on_its_clock
 from tests.gateway.conftest import BAND_NM, FakeDrives
 
 #: Of a SYNC that arms share in real time.
 PARTS = ("begin", "prepare", "sync", "gather", "check")
+#: Longest time that disabling six slaves may take [s].
+PATIENCE_S = 20.0
 
 
 class Drives(FakeDrives):
@@ -270,6 +277,38 @@ def test_a_sync_that_one_arm_cannot_take_part_in_is_left_by_all(drives, part):
     assert [each.log_of_parts[-1] for each in drives] == ["abandon"] * 2
     if part != "gather":
         assert all((each.q_rad == at).all() for each, at in zip(drives, before, strict=True))
+    arms.close()
+
+
+def test_arms_whose_sync_was_interrupted_are_disabled_from_other_threads(fake, monkeypatch):
+    """The bus of an arm belongs to the thread that has begun a SYNC until it is abandoned."""
+    first, members, profile = Wire(), [], load_profile("generic-cia402")
+    on_its_clock(first, monkeypatch)
+    wires, setups = [first, Beside(first)], [AxisSetup(node_id, profile, 0.5, 300.0) for node_id in range(1, 7)]
+    for each in wires:
+        each.slaves += [Slave(each, node_id) for node_id in range(1, 7)]
+        group = DriveGroup(Bus(each, BusSpec("test", "wire")), setups, 0.01)  # type: ignore[arg-type]
+        group.connect()
+        group.configure()
+        members.append(Arm(str(len(members)), group, fake.axes))
+    arms = Arms(members, "real")  # which shares each SYNC in parts; the clock of both groups is that of the wire
+    arms.enable(lambda: False)
+    send = wires[1].send
+
+    def interrupted(message, timeout=None):
+        if message.arbitration_id == 0x080:
+            raise KeyboardInterrupt
+        send(message, timeout)
+
+    monkeypatch.setattr(wires[1], "send", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        arms.hold()
+    monkeypatch.setattr(wires[1], "send", send)
+    disabling = threading.Thread(target=arms.disable, daemon=True)
+    disabling.start()
+    disabling.join(PATIENCE_S)
+    assert not disabling.is_alive()
+    assert {slave.state for each in wires for slave in each.slaves} == {"switch on disabled"}
     arms.close()
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gateway.model.arm_model import arm_robot, robot_from_text, robot_text
-from gateway.model.capsule import capsule_around
 from gateway.model.mesh import MeshError, find_mesh, read_vertices
 from gateway.model.robot import reach_m
+from gateway.model.solid import capsule_around
 from gateway.motion.body import body_of_parts, moving_parts
 from gateway.motion.workspace import workspace_of
 

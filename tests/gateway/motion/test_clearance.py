@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from gateway.model.arm_model import arm_robot
-from gateway.model.capsule import Capsule
 from gateway.model.kinematics import link_frames
-from gateway.model.solid import solid_capsule
+from gateway.model.solid import Capsule, solid_capsule
 from gateway.motion.body import Body, base_and_link_frames, body_of_parts
 from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_between
 from gateway.motion.convex_distance import segment_box_distance, segment_segment_distance

@@ -48,7 +48,6 @@ def test_motor_torques_through_gear_and_coupling():
     needed = np.array([100.0, 100.0, 100.0, 100.0, 80.0, 40.0])
     assert motor_torques_nm(AxisConversion.from_arm(arm()), needed) == pytest.approx((1, 1, 1, 1, 0.8, 0.4))
     assert motor_torques_nm(AxisConversion.from_arm(arm(COUPLED)), needed) == pytest.approx((1, 1, 1, 1, 1.0, 0.4))
-    assert motor_torques_nm(AxisConversion.from_arm(arm()), None) == (None,) * 6
 
 
 def ramps(**changes):

@@ -90,7 +90,7 @@ def group(monkeypatch) -> Group:
     group = Group()
     monkeypatch.setattr(opening, "open_bus", lambda *_: nullcontext())
     monkeypatch.setattr(opening, "DriveGroup", group.of)
-    monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: None)
+    monkeypatch.setattr(opening.drive_limits, "quick_stop_rad_s2", lambda *_: None)
     monkeypatch.setattr(opening, "look_over", lambda *_: ((), ()))
     return group
 
@@ -101,8 +101,10 @@ def test_a_drive_gives_no_more_torque_than_the_harder_of_motion_and_quick_stop_n
 ):
     config = small_cell.cell.arm[0]
     ramp = workspace.acceleration_rad_s2 * (3.0 if harder == "ramp" else 0.3)
-    monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: ramp)
-    monkeypatch.setattr(opening, "needed_torque_nm", lambda _space, _config, hardest, _known: 10.0 * hardest)
+    monkeypatch.setattr(opening.drive_limits, "quick_stop_rad_s2", lambda *_: ramp)
+    monkeypatch.setattr(
+        opening.drive_limits, "needed_torque_nm", lambda _space, _config, hardest, _known: 10.0 * hardest
+    )
     with opening.open_arm(small_cell):
         pass
     ratio = np.abs(AxisConversion.from_arm(config).ratio)

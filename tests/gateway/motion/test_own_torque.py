@@ -9,7 +9,7 @@ import pinocchio
 import pytest
 
 from gateway.cell.conversion import AxisConversion
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.feedforward.identified import AxisConstants, Known
 from gateway.model.arm_model import robot_text

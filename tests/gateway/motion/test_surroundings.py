@@ -11,7 +11,7 @@ from gateway.acquire.plan import inward_steps
 from gateway.acquire.planning import make_plan
 from gateway.acquire.route import find_route
 from gateway.cell.config import KeepOut, load_cell, parse_cell
-from gateway.data.rest_pose import RestPose
+from gateway.data.visit import RestPose
 from gateway.errors import ConfigError, PlanRefused
 from gateway.model.arm_model import arm_robot, robot_from_text, robot_text
 from gateway.model.kinematics import flange_frames, link_frames

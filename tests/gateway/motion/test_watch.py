@@ -9,7 +9,7 @@ from drives.drive import DriveReading
 from drives.errors import IncompleteEpochs
 from gateway.acquire.plan import travel_limits
 from gateway.acquire.settle import SettleTest
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.trajectory import straight

@@ -18,9 +18,8 @@ from gateway.newcell import offers, questions
 from gateway.newcell.answers import CellAnswers, GivenAnswer
 from gateway.newcell.cell_text import cell_text, left_over
 from gateway.newcell.interview import interview
-from gateway.newcell.nodes import Read, SeenNode
+from gateway.newcell.nodes import Read, SeenNode, nodes_in
 from gateway.newcell.offers import PLACEHOLDER
-from gateway.newcell.reading import nodes_in
 
 OWN = Path(__file__).parents[3] / "examples" / "own"
 #: 1 Nm and 2 A rated, three times that at most; 2 ** 17 counts a turn; 3000 rpm.

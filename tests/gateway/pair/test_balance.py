@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.pair.balance import SAMPLE_SHARE, ForceBalance
 from gateway.pair.calibration import PathWrenches
 from gateway.pair.joint_targets import ExternalTorque, JointFollower, Shown

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gateway.pair.chain import GearChain, Hand
+from gateway.pair.inverse import GearChain, Hand
 from gateway.pair.joint_targets import JointFollower
 from gateway.pair.pair_cell import load_pair
 

@@ -10,14 +10,12 @@ import pytest
 
 from gateway.errors import ConfigError, InputError, PlanRefused
 from gateway.pair.calibration import PairCalibration
-from gateway.pair.controller import PairController
-from gateway.pair.embodiments import DEFAULT_GAINS, EMBODIMENTS
+from gateway.pair.controller import DEFAULT_GAINS, EMBODIMENTS, PairController
+from gateway.pair.force import InternalForce
 from gateway.pair.impedance import Gains
-from gateway.pair.internal_force import InternalForce
 from gateway.pair.learning_update import LearningRule
 from gateway.pair.path import PairPath
-from gateway.pair.relation import slave_command
-from gateway.pair.transform import apply_correction, correction_between, inverse
+from gateway.pair.transform import apply_correction, correction_between, inverse, slave_command
 from gateway.pair.transform_function import function_of_knots
 from gateway.result.pair import CycleSummary
 from tests.gateway.pair.conftest import FIXED, first_function

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.pair.deviation import DeviationFromDistance, DeviationFromForce
-from gateway.pair.force_guard import ForceGuard
+from gateway.pair.force import ForceGuard
 from gateway.pair.gap import GapWatch
 
 ROWS, DT_S = 8, 0.004

@@ -14,7 +14,7 @@ from gateway.pair.force import (
     split,
 )
 from gateway.pair.path import PairPath
-from gateway.pair.relation import slave_command
+from gateway.pair.transform import slave_command
 from gateway.pair.transform_function import constant_function
 
 Q = np.array([0.1, 1.4, -3.0, 0.2, -1.3, 0.3])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.pair.force_guard import ForceGuard, cause_of
+from gateway.pair.force import ForceGuard, cause_of
 
 
 def test_trips_after_more_than_20_ms_above_twice_the_limit() -> None:

@@ -12,8 +12,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gateway.errors import InputError
-from gateway.pair.function_file import from_json, read_stored, refuse_foreign, stored_function, transform_of
-from gateway.pair.transform_function import TransformFunction
+from gateway.pair.transform_function import (
+    TransformFunction,
+    from_json,
+    read_stored,
+    refuse_foreign,
+    stored_function,
+    transform_of,
+)
 from gateway.result.pair import StoredFunction
 from gateway.result.values import json_text
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.pair.joint_targets import ExternalTorque, JointFollower
 from gateway.pair.pair_cell import load_pair
 

@@ -13,8 +13,7 @@ from gateway.pair.iterative_learning import Cycle, IterativeLearning
 from gateway.pair.learning_points import Feature, Selection
 from gateway.pair.learning_update import Forgetting, LearningRule, from_local, led, local, raw_relation, smoothed
 from gateway.pair.path import PairPath
-from gateway.pair.relation import relation, slave_command
-from gateway.pair.transform import apply_correction, correction_between
+from gateway.pair.transform import apply_correction, correction_between, relation, slave_command
 from gateway.pair.transform_function import function_of_knots
 from tests.gateway.pair.conftest import FIXED, first_function
 

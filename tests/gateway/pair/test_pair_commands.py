@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli import main
-from gateway.pair.function_file import transform_of
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_store import PairStore
-from gateway.pair.transform_function import function_of_knots
+from gateway.pair.transform_function import function_of_knots, transform_of
 
 #: Two commands may not use one bus at the same time, in whatever process.
 pytestmark = pytest.mark.xdist_group("bus of the pair example")
@@ -90,6 +91,16 @@ def test_a_run_that_cannot_be_is_refused(cell: Path, name: Path | str, words: tu
     result = call("run-pair", cell.parent / name, *words, "--yes")
     assert result.exit_code == 3
     assert said in result.output
+
+
+def test_arms_away_from_the_start_are_refused_before_the_question(cell: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    away = [arm.start_rad + 0.1 for arm in load_pair(cell).arms]
+    link = SimpleNamespace(together=SimpleNamespace(where=lambda: away))
+    monkeypatch.setattr("gateway.pair.session.open_link", lambda *_: nullcontext(link))
+    result = call("teach", cell)
+    assert result.exit_code == 5, result.output
+    assert "the part is gripped at" in result.output
+    assert "area clear" not in result.output
 
 
 def test_a_changed_path_is_refused(cell: Path) -> None:

@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 
 from gateway.errors import InputError
-from gateway.pair.controller import PairController
-from gateway.pair.embodiments import EMBODIMENTS
-from gateway.pair.function_file import transform_of
-from gateway.pair.link import PairLink
+from gateway.pair.controller import EMBODIMENTS, PairController
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import calibration_of
 from gateway.pair.pair_run import PairCycle
 from gateway.pair.pair_store import PairStore, cell_hash, line_of_grippers, run_result
-from gateway.pair.transform_function import constant_function
+from gateway.pair.session import PairLink
+from gateway.pair.transform_function import constant_function, transform_of
 from gateway.result.pair import LinkStatistics
 from gateway.result.values import plain_values
 from tests.gateway.pair.together import EXAMPLE

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gateway.pair.presliding import FrictionOffset, Presliding
+from gateway.pair.joint_targets import FrictionOffset, Presliding
 
 COULOMB, VISCOUS = np.array([18.0, 27, 15, 3.6, 3, 1.8]), np.array([12.0, 18, 10, 2.4, 2, 1.2])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gateway.pair.relation import relation, slave_command
+from gateway.pair.transform import relation, slave_command
 from gateway.pair.transform_function import function_of_knots
 
 

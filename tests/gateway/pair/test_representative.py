@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.pair.correction_store import CorrectionStore
-from gateway.pair.representative import half_sample_mode, representative
+from gateway.pair.iterative_learning import CorrectionStore
+from gateway.pair.learning_update import half_sample_mode, representative
 
 
 def test_mean_and_median_by_component() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.data.sample import ArmSample
+from gateway.data.visit import ArmSample
 from gateway.pair.servo_lag import (
     LONGEST_CATCHING_UP_S,
     MAX_LAG_DIFFERENCE_S,

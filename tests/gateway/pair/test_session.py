@@ -15,8 +15,7 @@ from gateway.motion.power import powered
 from gateway.motion.stops import StopDesk, StoppedByPerson
 from gateway.motion.stream import MoveOptions
 from gateway.pair.balance import ForceBalance
-from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS
-from gateway.pair.function_file import transform_of
+from gateway.pair.controller import DISTANCE_GAINS, EMBODIMENTS
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairMotion, PairMotionOptions, PairStopped, refuse_elsewhere
 from gateway.pair.pair_run import PairRun
@@ -35,10 +34,9 @@ from gateway.pair.session import (
     speed_table,
     teach_pair,
 )
-from gateway.pair.taught_path import TaughtPath
-from gateway.pair.teach import Teacher, TeachRule
+from gateway.pair.teach import TaughtPath, Teacher, TeachRule
 from gateway.pair.transform import correction_between
-from gateway.pair.transform_function import constant_function
+from gateway.pair.transform_function import constant_function, transform_of
 from gateway.result.pair import LinkStatistics
 from gateway.result.values import plain_values
 from tests.gateway.pair.together import EXAMPLE, Together

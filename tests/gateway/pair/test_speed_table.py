@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gateway.errors import InputError
-from gateway.pair.speed_table import ExtrapolationWarning, SpeedTable
-from gateway.pair.transform_function import TransformFunction
+from gateway.pair.transform_function import ExtrapolationWarning, SpeedTable, TransformFunction
 
 
 def two_knots(angle: float, step: float) -> TransformFunction:

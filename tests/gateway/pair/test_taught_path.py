@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gateway.errors import InputError
-from gateway.pair.taught_path import TaughtPath, read_taught_path, taught_path_from_json, taught_point
+from gateway.pair.teach import TaughtPath, read_taught_path, taught_path_from_json, taught_point
 
 
 def document() -> dict[str, Any]:

@@ -21,9 +21,9 @@ from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
 from gateway.motion.workspace import workspace_of
-from gateway.pair.link import PairLink
 from gateway.pair.pair_cell import PairArm, PairCell, load_pair
 from gateway.pair.path import PathProgram
+from gateway.pair.session import PairLink
 from tests.support.rigs.brakes import in_brakes
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair"

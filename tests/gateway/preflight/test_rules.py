@@ -15,8 +15,7 @@ from gateway.cell.config import ArmConfig, BusConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.preflight.drive_check import addresses, judge_bus_load, live_addresses
-from gateway.preflight.limits import judge_place, judge_ranges
-from gateway.preflight.rules import Axis, judge_identity, judge_settings, judge_state
+from gateway.preflight.rules import Axis, judge_identity, judge_place, judge_ranges, judge_settings, judge_state
 from tests.data.axes import axis_table
 
 PROFILE = load_profile("generic-cia402")

@@ -42,8 +42,8 @@ def test_bars_of_several_loads_stand_apart():
 def test_parts_add_up_in_squares():
     (row,) = budget_rows(Result("r", (LOAD,)))
     # 1.96 * 0.5, and the roots of the shares of it
-    assert row.half == "0.98"
-    assert [part[2] for part in row.parts] == ["0.78", "0.20", "0.00", "0.00", "0.00", "0.00", "0.55"]
+    assert row[1] == "0.98"
+    assert [part[2] for part in row[2]] == ["0.78", "0.20", "0.00", "0.00", "0.00", "0.00", "0.55"]
 
 
 @pytest.mark.parametrize(

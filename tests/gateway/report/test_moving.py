@@ -11,8 +11,14 @@ import pytest
 
 from gateway.commands.console import Session
 from gateway.commands.result_output import show_result
-from gateway.report.moving_figures import period_figures, sliding_figure
-from gateway.report.moving_section import axis_rows, friction_views, inertia_view, period_of
+from gateway.report.moving_section import (
+    axis_rows,
+    friction_views,
+    inertia_view,
+    period_figures,
+    period_of,
+    sliding_figure,
+)
 from gateway.report.render import render
 from gateway.report.view import view
 from gateway.result.result import AxisMotion, Result, from_json
@@ -127,7 +133,7 @@ def test_rest_poses_are_no_period(full_result):
     rest = from_json(json.dumps(full_result))
     assert period_of(rest) is None
     assert period_of(Result(robot="r")) is None
-    assert view(rest).motion == ()
+    assert view(rest)["motion"] == ()
     page = render(rest)
     assert "One period" not in page
     assert "Friction over speed" not in page

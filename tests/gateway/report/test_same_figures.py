@@ -4,7 +4,7 @@ import json
 import re
 
 from gateway.report.evidence import friction_figure
-from gateway.report.posture import load_change_figure
+from gateway.report.load_figures import load_change_figure
 from gateway.report.render import render
 from gateway.result.result import from_json
 

@@ -11,8 +11,7 @@ from click.testing import CliRunner
 from gateway.cli import main
 from gateway.data.blackbox.part import BoxHeader, pack, width_of
 from gateway.data.blackbox.ring_buffer import BOTH_KILLED, Ring, folder_of
-from gateway.report.stop import curves_of, render_stop
-from gateway.report.stop_figures import PIECES, courses
+from gateway.report.stop import PIECES, courses, curves_of, render_stop
 from tests.support.pages.stop import AXES, CELL, PERIOD_S, REASON, SYNCS, stopped
 
 

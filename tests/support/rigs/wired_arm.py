@@ -7,7 +7,7 @@ decelerates it at a constant rate. Nothing of it is shared with the product but 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -43,7 +43,6 @@ class Joint(Slave):
     commands : controlword and target position at every SYNC
     measured : position at every SYNC, which the drive sends
     states, last_beats : state after every SYNC, and the SYNC of the master's last heartbeat by then
-    at_sync : called after every SYNC
     without_master : state that it takes when the master's heartbeat is lost, by 0x6007
     farthest_rad : largest angle of the joint from where it was last held
     """
@@ -57,7 +56,6 @@ class Joint(Slave):
         self.commands: list[tuple[int, int]] = []
         self.measured: list[int] = []
         self.states: list[str] = []
-        self.at_sync: Callable[[], None] = lambda: None
         self.without_master = {1: "fault", 2: "switch on disabled", 3: "quick stop"}
         self.last_beats: list[int] = []
         self._period_s, self.joint_count = period_s, joint_count
@@ -87,7 +85,6 @@ class Joint(Slave):
         self.states.append(self.state)
         self.last_beats.append(self._beat_sync)
         self._turn(before)
-        self.at_sync()
 
     def _turn(self, before: int) -> None:
         """The axis over the period that begins with this SYNC."""

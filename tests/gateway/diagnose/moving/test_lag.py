@@ -9,7 +9,7 @@ import pytest
 
 from gateway.data.rows import Table, concatenate
 from gateway.diagnose import diagnose
-from gateway.diagnose.moving.lag import lags, prepare_in_step
+from gateway.diagnose.moving.moving_rows import lags, prepare_in_step
 from gateway.identify.knowledge import Knowledge
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from gateway.data.rows import concatenate
-from gateway.diagnose.moving.moving_noise import MovingNoise
-from gateway.diagnose.moving.null_model import null_model
+from gateway.diagnose.moving.null_model import MovingNoise, null_model
 from gateway.diagnose.moving.penalised_fit import MovingProblem, fit
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import PER_LINK_MOVING, link_prior
-from gateway.identify.motion.convergence import settle
-from gateway.identify.motion.problem import Contrasts, MotionProblem
+from gateway.identify.motion.problem import Contrasts, MotionProblem, settle
 from gateway.model.motion import prepare
 from tests.data.moving_arm import GRAVITY, several
 from tests.gateway.diagnose.moving.conftest import random_rows

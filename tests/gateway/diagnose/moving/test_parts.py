@@ -9,12 +9,10 @@ import pytest
 
 from gateway.data.rows import concatenate
 from gateway.diagnose.moving.diagnosis import diagnose_motion
-from gateway.diagnose.moving.moving_noise import MovingNoise
-from gateway.diagnose.moving.null_model import null_model
+from gateway.diagnose.moving.moving_rows import blocks
+from gateway.diagnose.moving.null_model import MovingNoise, null_model
 from gateway.diagnose.moving.penalised_fit import MovingProblem, fit
-from gateway.diagnose.moving.splits import blocks
-from gateway.diagnose.moving.state import state_of
-from gateway.diagnose.moving.trial import candidates, drop_by_chance, put_on_trial, suggested
+from gateway.diagnose.moving.trial import candidates, drop_by_chance, put_on_trial, state_of, suggested
 from gateway.errors import DataUnusable, InputError
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.links import link_values

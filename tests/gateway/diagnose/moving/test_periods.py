@@ -10,7 +10,7 @@ import pytest
 from gateway.data.periods import excitation_runs, noise_between_periods
 from gateway.data.rows import Table, concatenate
 from gateway.diagnose import diagnose
-from gateway.diagnose.moving.splits import blocks, judging
+from gateway.diagnose.moving.moving_rows import blocks, judging
 from gateway.model.motion import prepare
 from gateway.model.robot import Robot
 from tests.data.moving_arm import GRAVITY, World, as_period, coloured, measured

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.diagnose.held_out_residuals import Held
-from gateway.diagnose.moving.ratio import held_ratio
+from gateway.diagnose.held_out_residuals import Held, held_ratio
 from tests.data.moving_arm import coloured
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.data.rows import concatenate
-from gateway.diagnose.moving.splits import blocks, choosing, judging
+from gateway.diagnose.moving.moving_rows import blocks, choosing, judging
 from gateway.model.motion import prepare
 from tests.data.moving_arm import GRAVITY
 from tests.gateway.diagnose.moving.conftest import random_rows

@@ -9,11 +9,10 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose import diagnose
-from gateway.diagnose.moving.moving_noise import MovingNoise
-from gateway.diagnose.moving.null_model import null_model
+from gateway.diagnose.moving.choice import log_evidence
+from gateway.diagnose.moving.moving_rows import blocks
+from gateway.diagnose.moving.null_model import MovingNoise, null_model
 from gateway.diagnose.moving.penalised_fit import MovingProblem
-from gateway.diagnose.moving.splits import blocks
-from gateway.diagnose.moving.trust import log_evidence
 from gateway.identify.knowledge import Knowledge
 from gateway.model.motion import prepare
 from tests.data.moving_arm import GRAVITY, World, measured

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gateway.diagnose.rest.direct_effects import friction_by_direction
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
+from gateway.diagnose.rest.rest_mistakes import friction_by_direction
 
 N, VISITS = 6, 8
 NOISE_NM = 2.0

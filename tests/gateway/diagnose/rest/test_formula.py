@@ -17,7 +17,7 @@ from gateway.model.formula import AngleWave, Buffer, Knee, pieces
 from gateway.model.kinematics import link_frames
 from gateway.model.unnamed import BentGain, Pull, UnevenBand, UnevenGain
 from gateway.report.render import render
-from gateway.report.summary_text import formula_text
+from gateway.report.view import formula_text
 from gateway.result.result import from_json, to_json
 from tests.data.resting_arm import Bench, effect
 

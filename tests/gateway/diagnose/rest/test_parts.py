@@ -10,9 +10,8 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose.held_out_residuals import Held
-from gateway.diagnose.rest.holdout import left_out, left_out_with
+from gateway.diagnose.rest.holdout import left_out, left_out_with, spare_rows
 from gateway.diagnose.rest.screen import Screen, log_bayes_factor, pair_log_bayes
-from gateway.diagnose.rest.validation_tests import spare_rows
 from gateway.identify.rest.linear import Noise
 from tests.data.resting_arm import basis_of
 

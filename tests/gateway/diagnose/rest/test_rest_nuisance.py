@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.nuisance import UNEVEN_LOSS, nuisance_prior
-from gateway.identify.rest.gain_changes import GainChanges
+from gateway.identify.nuisance import UNEVEN_LOSS, bias_std_nm
 from gateway.identify.rest.linear import common_columns, modelled, with_terms
 from gateway.identify.rest.problem import build_problem
-from gateway.identify.rest.rest_nuisance import KINDS, RestNuisance, left_of_cold, nuisance_setting
+from gateway.identify.rest.rest_nuisance import KINDS, GainChanges, RestNuisance, left_of_cold, nuisance_setting
 from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.model.effects.axis_coupling import TorqueMixing
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
@@ -184,7 +183,7 @@ def test_friction_fades_from_the_first_visit_on():
 def test_priors_are_those_of_constants_and_of_the_friction_that_is_seen():
     gain_std, lost = np.full(N, 0.02), np.linspace(0.0, 0.2, N)
     band = np.arange(1.0, 7.0)
-    prior = RestNuisance.of(nuisance_prior(gain_std, band, lost), gain_std, lost, GainChanges.none(gain_std))
+    prior = RestNuisance.of(gain_std, bias_std_nm(band, lost), lost, GainChanges.none(gain_std))
     mean, std = (each[: len(KINDS) * N].reshape(len(KINDS), N) for each in (prior.mean, prior.std))
     assert dict(zip(KINDS, mean[:, 0], strict=True)) == pytest.approx(
         {"gain": 0, "bias": 0, "load_friction": 0.05, "one_efficiency": 0.5, "cold_fast": 0, "cold_slow": 0}

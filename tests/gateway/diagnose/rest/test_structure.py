@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose import diagnose
+from gateway.diagnose.rest.holdout import fresh_misfit, fresh_seen
 from gateway.diagnose.rest.residual_structure import (
     Power,
     StructureTest,
@@ -17,7 +18,6 @@ from gateway.diagnose.rest.residual_structure import (
     structure_seen_nm,
 )
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
-from gateway.diagnose.rest.validation_tests import fresh_misfit, fresh_seen
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.start_noise import first_noise
 from sim.effects import apply_effects

@@ -1,0 +1,276 @@
+"""Move an arm to a posture, and measure it under one load: at rest, until a load is known, or along excitations.
+
+Each function opens the drives, asks through the `Operator`, proves the stop of the drives where that is due, moves, and
+ends with the brakes on. What was measured until an error is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from drives.gate import ArmState
+from gateway.acquire.goto import Destination, destination, go, plan_transfer, remarks, transfer_from_here
+from gateway.acquire.passes import passes_of
+from gateway.acquire.plan import Plan
+from gateway.acquire.planning import asked_by, make_plan, plan_again, plan_asked
+from gateway.acquire.session import RecordingSummary, RecordRequest, plan_of_recording
+from gateway.acquire.session import record as record_plan
+from gateway.acquire.session import record_moving as record_passes
+from gateway.acquire.until import NextStep, record_until, search_of
+from gateway.acquire.until_goal import Goal
+from gateway.data.recording.reader import read
+from gateway.data.recording.recorded import Recording
+from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
+from gateway.errors import InputError
+from gateway.excite.excitation import MovingPlan
+from gateway.excite.plan_file import excitation_of
+from gateway.excite.planning import MovingRequest, make_moving_plan, read_moving_plan
+from gateway.jobs.cell_context import CellContext
+from gateway.jobs.frame import Operator, begin_motion, flange_question
+from gateway.model.arm_model import arm_named, arm_robot
+from gateway.motion.joint_path import angles
+from gateway.motion.opening import OpenArm
+from gateway.motion.stream import MoveOptions
+from gateway.motion.workspace import workspace_of
+from gateway.pipeline.inputs import ModelRequest
+
+
+def announce(opened: OpenArm, target: Destination, plan: Plan, operator: Operator, options: MoveOptions) -> None:
+    """Show present posture, target, detours and duration of a transfer."""
+    operator.say(
+        f"arm '{plan.arm}' goes from {angles(plan.start_rad or ())} to {target}, at {100 * options.override:.0f} % of "
+        f"its speed, in about {plan.duration_s / options.override:.0f} s"
+    )
+    for remark in remarks(plan, opened.workspace):
+        operator.say(remark)
+
+
+def transfer(
+    context: CellContext, opened: OpenArm, target: Destination, plan: Plan, operator: Operator, options: MoveOptions
+) -> None:
+    """Move to an announced posture; raises as `transfer_from_here` and `go` of `gateway.acquire.goto`."""
+    with context.last_seconds(options, opened):
+        plan = transfer_from_here(opened, target, plan)
+        with operator.progress(plan.duration_s / options.override, "move") as listener:
+            go(opened, plan, (listener,), options)
+
+
+def measure_plan(
+    opened: OpenArm, plan: Plan, request: RecordRequest, operator: Operator, options: MoveOptions
+) -> RecordingSummary:
+    """Measure a plan under one load and show the progress; raises as `gateway.acquire.session.record`."""
+    with operator.progress(plan.duration_s / options.override, f"load {request.load}") as listener:
+        return record_plan(opened, plan, request, (listener,), options)
+
+
+def move(
+    context: CellContext, to: str | Sequence[float], operator: Operator, options: MoveOptions, *, arm: str | None = None
+) -> tuple[Destination, ArmState]:
+    """Move an arm to a posture along a collision-checked path, after confirmation.
+
+    Parameters
+    ----------
+    context : CellContext
+    to : "home", "loading", or joint angles [rad], one per axis
+    operator : Operator
+    options : MoveOptions
+        As `stoppable` yields them.
+    arm : str, optional
+        Name of the arm, if the cell has several.
+
+    Returns
+    -------
+    Destination, ArmState
+        Where the arm is, and what was read from all drives after the motion.
+
+    Raises
+    ------
+    ConfigError, PlanRefused, FindingFailed, LimitExceeded, DriveError, KeyboardInterrupt
+        As `destination`, `begin_motion` and `go`.
+    """
+    config = arm_named(context.loaded, arm)
+    target = destination(config, workspace_of(config, arm_robot(context.loaded, config)), to)
+    with context.opened(config) as opened:
+        plan = plan_transfer(opened, target)
+        announce(opened, target, plan, operator, options)
+        options = begin_motion(context, (opened,), options, operator.ask, operator.say)
+        transfer(context, opened, target, plan, operator, options)
+        return target, opened.group.gate()
+
+
+def continued(context: CellContext, recording: Path, resume: bool) -> Recording | None:
+    """Return the content of the recording that is continued; None where a new one begins.
+
+    Raises
+    ------
+    InputError
+        The file exists and `resume` is not set, or it is of another cell.
+    """
+    if recording.exists() and not resume:
+        raise InputError(f"{recording} exists; {NOT_REPLACED}")
+    earlier = read(recording) if recording.exists() else None
+    refuse_other_cell(earlier, context.loaded.text)
+    return earlier
+
+
+def record(
+    context: CellContext,
+    load: str,
+    recording: Path,
+    operator: Operator,
+    options: MoveOptions,
+    *,
+    arm: str | None = None,
+    resume: bool = False,
+    poses: Sequence[tuple[float, ...]] | Sequence[int] | Path = (),
+    trace: Path | None = None,
+) -> RecordingSummary:
+    """Measure rest poses under one load: those of the cell, unless others are given.
+
+    Parameters
+    ----------
+    context : CellContext
+    load : str
+        Label of the mounted load; `none` for the unloaded arm.
+    recording : Path
+        File to write.
+    operator : Operator
+    options : MoveOptions
+        As `stoppable` yields them.
+    arm : str, optional
+        Name of the arm, if the cell has several.
+    resume : bool
+        Continue the file: measure only what is missing under this load.
+    poses : sequence of tuples of joint angles [rad], sequence of int, or Path
+        Poses to measure, numbers of poses of the file to measure again, or a result that proposes poses.
+    trace : Path, optional
+        File of the frame log.
+
+    Raises
+    ------
+    InputError, PlanRefused, FindingFailed, LimitExceeded, DriveError, KeyboardInterrupt
+        As `continued`, the planning functions, `begin_motion` and `gateway.acquire.session.record`.
+    """
+    loaded, config = context.loaded, arm_named(context.loaded, arm)
+    numbers = () if isinstance(poses, Path) else tuple(pose for pose in poses if isinstance(pose, int))
+    earlier = continued(context, recording, resume or bool(numbers))
+    if isinstance(poses, Path):
+        proposed_rad, taken = asked_by(poses, loaded, config)
+        plan = plan_asked(loaded, config, proposed_rad, earlier, taken)
+    elif numbers:
+        if earlier is None:
+            raise InputError(f"--pose {numbers[0]}: {recording} does not exist yet, so it has no pose with this number")
+        plan = plan_again(loaded, config, numbers, earlier)
+    elif poses:
+        plan = plan_asked(loaded, config, [pose for pose in poses if not isinstance(pose, int)], earlier)
+    elif earlier is None:
+        plan = make_plan(loaded, arm=config.name)
+    else:
+        plan = plan_of_recording(loaded, earlier, config.name)
+    operator.planned(config.name, plan)
+    request = RecordRequest(load, recording, resume or bool(numbers), bool(numbers))
+    with context.opened(config, trace=trace) as opened:
+        options = begin_motion(context, (opened,), options, operator.ask, operator.say, also=flange_question(load))
+        return measure_plan(opened, plan, request, operator, options)
+
+
+def record_until_known(
+    context: CellContext,
+    load: str,
+    recording: Path,
+    goal: Goal,
+    operator: Operator,
+    options: MoveOptions,
+    *,
+    model: ModelRequest,
+    resume: bool = False,
+    trace: Path | None = None,
+) -> tuple[RecordingSummary, NextStep]:
+    """Measure pose by pose until the 95 % interval of a load is narrow enough; return as `record_until`.
+
+    Parameters
+    ----------
+    context, load, recording, operator, options, resume, trace
+        As of `record`.
+    goal : Goal
+        Largest half widths of the interval.
+    model : ModelRequest
+        The cell file and the arm; a stored result of the unloaded arm, where the recording has no visit of it, and
+        weighed loads of the recording.
+
+    Raises
+    ------
+    InputError, PlanRefused, FindingFailed, LimitExceeded, DriveError, KeyboardInterrupt
+        As `search_of`, `begin_motion` and `record_until`.
+    """
+    config = arm_named(context.loaded, model.arm)
+    continued(context, recording, resume)
+    workspace, apart_rad = workspace_of(config, arm_robot(context.loaded, config)), np.empty((0, len(config.axis)))
+    search, earlier = search_of(context.loaded, workspace, config, load, goal, recording, model, apart_rad)
+    operator.planned(config.name, search)
+    with context.opened(config, trace=trace) as opened:
+        options = begin_motion(context, (opened,), options, operator.ask, operator.say, also=flange_question(load))
+        with operator.progress(1.0, f"load {load}") as listener:
+            return record_until(opened, search, recording, earlier, (listener,), options)
+
+
+def record_moving(
+    context: CellContext,
+    load: str,
+    recording: Path,
+    operator: Operator,
+    options: MoveOptions,
+    *,
+    arm: str | None = None,
+    resume: bool = False,
+    plan: Path | None = None,
+    rate_hz: float | None = None,
+    trace: Path | None = None,
+) -> RecordingSummary:
+    """Drive excitation trajectories under one load: of a plan, of the continued file, or planned for the arm.
+
+    Parameters
+    ----------
+    context, load, recording, operator, options, arm, resume, trace
+        As of `record`.
+    plan : Path, optional
+        File written by `plan --moving --json`.
+    rate_hz : float, optional
+        SYNCs per second; as `CellContext.for_motion`.
+
+    Raises
+    ------
+    InputError, PlanRefused, FindingFailed, LimitExceeded, DriveError, KeyboardInterrupt
+        As `begin_motion` and `gateway.acquire.session.record_moving`.
+    """
+    config = arm_named(context.loaded, arm)
+    earlier = continued(context, recording, resume)
+    context = context.for_motion(config, rate_hz)
+    stored = None if earlier is None else earlier.arm(config.name)
+    if plan is not None:
+        chosen = read_moving_plan(plan)
+        if chosen.arm != config.name:
+            raise InputError(
+                f"{plan}: is a plan for arm '{chosen.arm}', not for '{config.name}'; plan again for this arm"
+            )
+    elif stored is None or not stored.excitations:
+        chosen = make_moving_plan(context.loaded, config.name, MovingRequest())
+    else:  # in the order in which the recording drove them
+        first = {each.excitation: each.number for each in reversed(stored.periods)}
+        last = 1 + max(first.values(), default=0)
+        order = sorted(stored.excitations, key=lambda number: (first.get(number, last), number))
+        where = f"{recording}: excitation"
+        held = tuple(excitation_of(stored.excitations[number], f"{where} {number}") for number in order)
+        chosen = MovingPlan(config.name, held, {})
+    driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(load)
+    period_s = context.loaded.cell.bus[config.bus].sync_period_s
+    passes = passes_of(chosen, load, driven, options.override, period_s)
+    operator.planned(config.name, passes)
+    also, what = flange_question(load), "will move fast"
+    with context.opened(config, trace=trace) as opened:
+        options = begin_motion(context, (opened,), options, operator.ask, operator.say, what=what, also=also)
+        with operator.progress(sum(one.duration_s for one in passes), f"load {load}") as listener:
+            return record_passes(opened, chosen, RecordRequest(load, recording, resume), (listener,), options)
