@@ -34,7 +34,7 @@ from benchmarks.figure import conclude, figure
 from benchmarks.program import options
 from drives.bus import BusSpec
 from drives.errors import DriveError
-from gateway.acquire.session import RecordRequest, record
+from gateway.acquire.session import record
 from gateway.data.blackbox.box import BlackBox, read_box
 from gateway.data.blackbox.ring_buffer import BOTH_KILLED, KILLED, box_of, folder_of, recover_box
 from gateway.errors import GatewayError, InputError
@@ -88,7 +88,7 @@ def stop_by(made: Rig, kind: str, folder: Path) -> Stop:
     poses = LOCKSTEP_POSES_LONG if kind in BY_THE_CLOCK_TOO else LOCKSTEP_POSES
     try:
         with open_arm(made.loaded, BusSpec.parse(made.bus)) as opened:
-            record(opened, short_plan(opened, 1, poses), RecordRequest("none", path), (begin.receive,))
+            record(opened, short_plan(opened, 1, poses), "none", path, None, (begin.receive,))
     except (DriveError, GatewayError) as problem:
         error = problem
     if error is None:

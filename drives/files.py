@@ -35,7 +35,7 @@ def checksum(document: Mapping[str, Any]) -> str:
 
 def write_sealed(path: Path, document: Mapping[str, Any]) -> str:
     """Write a document as JSON with its checksum, and return the text; raises as `replace_file`."""
-    text = json.dumps({**document, SEAL: checksum(document)}, indent=1) + "\n"
+    text = json.dumps({**document, SEAL: checksum(document)}) + "\n"
     replace_file(path, text)
     return text
 

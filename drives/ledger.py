@@ -14,7 +14,7 @@ import os
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -170,7 +170,7 @@ class WriteLedger:
         self.path = path
         self._entries: list[LedgerEntry] = []
         self._stamp: tuple[int, ...] | None = None
-        self._written: dict[str, Any] = {}
+        self._written: list[dict[str, Any]] | None = None
         self._read()
 
     @property
@@ -286,10 +286,10 @@ class WriteLedger:
                 self._read()
                 held = list(self._entries)
                 yield held
-                document = {"schema": SCHEMA, "entries": [asdict(entry) for entry in held]}
-                if document != self._written and (held or self.path.exists()):
-                    write_sealed(self.path, document)
-                    self._stamp, self._written = _stamp(self.path), document
+                entries = [{name: getattr(entry, name) for name in LedgerEntry.__slots__} for entry in held]
+                if entries != self._written and (held or self.path.exists()):
+                    write_sealed(self.path, {"schema": SCHEMA, "entries": entries})
+                    self._stamp, self._written = _stamp(self.path), entries
                 self._entries = held
         except OSError as error:
             raise ConfigurationRefused(
@@ -302,7 +302,7 @@ class WriteLedger:
         stamp = None if self.path is None else _stamp(self.path)
         if self.path is not None and stamp is not None and stamp != self._stamp:
             self._entries = _read_entries(self.path)
-            self._stamp, self._written = stamp, {}
+            self._stamp, self._written = stamp, None
 
 
 def _enter(held: list[LedgerEntry], batch: Sequence[LedgerEntry]) -> None:

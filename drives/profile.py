@@ -300,13 +300,6 @@ class Position(Strict):
             raise ValueError("the position object must be of type i32, as the target position 0x607A is")
         return self
 
-    @property
-    def count_objects(self) -> tuple[ObjectReference, ...]:
-        """Objects that the resolution is read from; none where it is given."""
-        known = self.counts_per_revolution
-        named = (known.object, known.per) if isinstance(known, CountsFromObjects) else ()
-        return tuple(each for each in named if each is not None)
-
     def counts(self, read: Reader) -> float | None:
         """Return the position counts of one motor revolution; None where the drive holds no resolution."""
         known = self.counts_per_revolution
@@ -514,6 +507,16 @@ class DriveProfile(Strict):
     def needs_torque_constant(self) -> bool:
         """Whether the measured torque is a current times the torque constant of the cell file."""
         return self.torque.is_current
+
+    @property
+    def constant_objects(self) -> tuple[ObjectReference, ...]:
+        """Return the objects that hold constants of a drive: rated values and encoder resolution."""
+        counts = self.position.counts_per_revolution
+        objects = [counts.object, counts.per] if isinstance(counts, CountsFromObjects) else []
+        for word in (self.torque, self.current, self.torque_offset):
+            if word is not None and word.rated is not None:
+                objects.append(word.rated.object)
+        return tuple(each for each in objects if each is not None)
 
     def rated_torque_nm(self, read: Reader) -> float | None:
         """Return the motor torque of 1000 per mille of 0x6072 [Nm]; None where it is not known."""

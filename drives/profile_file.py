@@ -68,16 +68,13 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
     for signal in (profile.torque, profile.current):
         if signal is not None:
             yield signal.object, True
-    for word in (profile.torque, profile.current, profile.torque_offset):
-        if word is not None and word.rated is not None and word.rated.object is not None:
-            yield word.rated.object, False
     if profile.velocity is not None:
         yield profile.velocity.object, profile.current is not None
     if profile.feedforward is not None:
         yield from ((offset, True) for offset in OFFSETS.values())
     if profile.temperature is not None:
         yield profile.temperature.object, False
-    yield from ((each, False) for each in profile.position.count_objects)
+    yield from ((each, False) for each in profile.constant_objects)
 
 
 PROFILE_FOLDER = Path(__file__).parent / "profiles"

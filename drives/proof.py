@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from drives.cia402 import (
@@ -93,6 +93,9 @@ class StopTrace:
         Whether it came to rest.
     rest_s : float
         Last SYNC with motion, s after the last heartbeat or the quick stop controlword.
+    samples : tuple of (float, int, bool)
+        Every position read: time of its SYNC [s] from the first one of the test, and position [counts]. False: it was
+        read by SDO after that SYNC. The samples of a quick stop begin with the SYNC before the test.
     """
 
     node_id: int
@@ -104,6 +107,7 @@ class StopTrace:
     coast_rad: float
     stood: bool
     rest_s: float = 0.0
+    samples: tuple[tuple[float, int, bool], ...] = field(default=(), repr=False)
 
     @property
     def in_time(self) -> bool:
@@ -123,28 +127,26 @@ class _Axis:
         self._standstill = Standstill(drive.scale.revolutions(1.0))
         #: The axis has left OPERATION ENABLED and is at rest.
         self.stood = False
-        self._counts: list[int] = []
+        self._samples: list[tuple[float, int, bool]] = []
         self._at_leaving = 0
 
-    def see(self, time_s: float, state: State, count: int) -> None:
-        """Process one reading."""
+    def see(self, time_s: float, state: State, count: int, is_answer: bool = True) -> None:
+        """Process one reading: the answer to a SYNC, or read by SDO after it."""
         self._standstill.see(time_s, count)
-        self._counts.append(count)
+        self._samples.append((time_s, count, is_answer))
         self.state = state
         if state is State.OPERATION_ENABLED and self.left_s is None:
             self.enabled_s = time_s
-            self._at_leaving = len(self._counts) - 1
+            self._at_leaving = len(self._samples) - 1
         elif self.left_s is None:
             self.left_s = time_s
         self.stood |= self.left_s is not None and self._standstill.at_rest(self.left_s)
 
     def trace(self) -> StopTrace:
         """Return the result of this drive."""
-        rad = self.drive.scale.count_rad
-        moved = max((abs(count - self._counts[0]) for count in self._counts), default=0)
-        coast = max(
-            (abs(count - self._counts[self._at_leaving]) for count in self._counts[self._at_leaving :]), default=0
-        )
+        rad, counts = self.drive.scale.count_rad, [count for _, count, _ in self._samples]
+        moved = max((abs(count - counts[0]) for count in counts), default=0)
+        coast = max((abs(count - counts[self._at_leaving]) for count in counts[self._at_leaving :]), default=0)
         left_s = self.left_s if self.state in AT_REST or self.state is State.QUICK_STOP_ACTIVE else None
         return StopTrace(
             node_id=self.drive.node_id,
@@ -155,7 +157,8 @@ class _Axis:
             moved_rad=abs(rad) * moved,
             coast_rad=abs(rad) * coast,
             stood=self.stood,
-            rest_s=self._standstill.moving_s,
+            rest_s=max(0.0, self._standstill.moving_s),
+            samples=tuple(self._samples),
         )
 
 
@@ -215,7 +218,7 @@ class StopTest:
             elif silent >= _SILENT and self._reads_by_sdo:
                 with suppress(DriveError):
                     status, count, _ = axis.drive.read_axis(ONCE)
-                    axis.see(passed_s, decode_state(status), count)
+                    axis.see(passed_s, decode_state(status), count, is_answer=False)
         self.done = all(axis.stood for axis in self._axes) or self._over(passed_s)
 
     def traces(self) -> tuple[StopTrace, ...]:
@@ -271,7 +274,7 @@ class QuickStopTest(StopTest):
         super().__init__(exchange, [2.0 * exchange.timing.period_s] * len(exchange.drives))
         for axis, count in zip(self._axes, exchange.position_count, strict=True):
             if count is not None:
-                axis.see(0.0, State.OPERATION_ENABLED, count)
+                axis.see(-exchange.timing.period_s, State.OPERATION_ENABLED, count)
 
     def _stops(self, axis: _Axis) -> bool:
         return axis.left_s is None

@@ -37,6 +37,7 @@ def main() -> None:
 @click.option("--noise-seed", type=click.IntRange(min=0), hidden=True)
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the truth here at start.")
 @click.option("--pacing", type=click.Choice(PACINGS), help="Instead of the cell's: by SYNC, or in real time.")
+@click.option("--posture", metavar="J1,J2,..", help="Joint angles [rad] at the start; default: zeros.")
 @click.option(
     "--unbuffered",
     is_flag=True,
@@ -53,12 +54,9 @@ def serve(cell: Path, **options: Any) -> None:
         raise click.UsageError("--undeclared and --seed exclude each other.")
     try:
         run(cell, ServeOptions(**options), lambda line: print(line, flush=True))
-    except SimulationBusError as error:
-        print(f"servo-sim: {error}", file=sys.stderr)
-        sys.exit(BUS_ERROR)
     except (ValueError, OSError) as error:
         print(f"servo-sim: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(FILE_ERROR)
+        sys.exit(BUS_ERROR if isinstance(error, SimulationBusError) else FILE_ERROR)
 
 
 @main.command()

@@ -74,8 +74,9 @@ class AxisSpec:
 class ArmSpec:
     """Arm of the cell file: kinematic chain, axes and mounting direction.
 
-    `start_rad` is where an arm of a pair grips the part; `assumed_links` = masses and shapes are assumed. `base` (4, 4)
-    is the base in the world, `flange` and `fingertip` (4, 4) are both in the frame of the last link [m].
+    `start_rad` is where the arm starts, and one of a pair grips the part; `assumed_links` = masses and shapes are
+    assumed. `base` (4, 4) is the base in the world; `flange` and `fingertip` (4, 4) are both in the frame of the last
+    link [m].
     """
 
     name: str

@@ -52,7 +52,7 @@ class ArmWorld:
         self._zero = np.array([axis.zero_offset_rad for axis in arm.axes])
         self._limits = np.array([axis.position_limit_rad for axis in arm.axes])
         self._noise = np.random.default_rng(seed)
-        home = np.clip(0.0, self._limits[:, 0], self._limits[:, 1])
+        home = np.clip(arm.start_rad or 0.0, self._limits[:, 0], self._limits[:, 1])
         self._q, self._qd = home.tolist(), [0.0] * len(home)
         self._now = plant.at(0.0)
         self._refreshed_s = 0.0

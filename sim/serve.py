@@ -41,21 +41,16 @@ def serve(cell_path: Path, options: ServeOptions, say: Callable[[str], None]) ->
     buses = ", ".join(f"{bus.interface}:{bus.channel}" for bus in simulation.specs.values())
     loads = ", ".join(simulation.loads) or "none given"
     count = sum(len(arm.drives) for arm in simulation.arms)
-    say(f"{READY}: {count} drives of cell {simulation.cell.name} on {buses}; loads: {loads}{_assumed(simulation)}")
+    said = f"{READY}: {count} drives of cell {simulation.cell.name} on {buses}; loads: {loads}"
+    for arm in simulation.cell.arms:
+        if arm.assumed_links:
+            masses = ", ".join(f"{body.mass_kg:.3g}" for body in arm.chain.bodies if body is not None)
+            said += f"; arm {arm.name} has no URDF: links of {masses} kg are assumed"
+    say(said)
     try:
         simulation.run()
     finally:
         simulation.close()
-
-
-def _assumed(simulation: Simulation) -> str:
-    """Return the message about arms with assumed links."""
-    reported = ""
-    for arm in simulation.cell.arms:
-        if arm.assumed_links:
-            masses = ", ".join(f"{body.mass_kg:.3g}" for body in arm.chain.bodies if body is not None)
-            reported += f"; arm {arm.name} has no URDF: links of {masses} kg are assumed"
-    return reported
 
 
 def obey(simulation: Simulation, lines: Iterable[str], say: Callable[[str], None]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -54,6 +53,7 @@ class ServeOptions:
     fault : faults, each [NODE:]NAME or a scenario file (`sim.faults`)
     truth : where the truth is written at start
     pacing : "lockstep" or "real" in place of every bus's own
+    posture : joint angles J1,J2,.. [rad] at which the arm of a cell with one arm starts, in place of zeros
     unbuffered : in real time, each target is taken over when it arrives instead of at a tick of the drive's own clock
     timing : where frames and motion of the drives are written at the end (`sim.timing_record`)
     noise_seed : seed of noise and of the scatter of friction in place of `seed`; None = `seed`, or always the same
@@ -66,6 +66,7 @@ class ServeOptions:
     fault: tuple[str | Path, ...] = ()
     truth: Path | None = None
     pacing: str | None = None
+    posture: str | None = None
     unbuffered: bool = False
     timing: Path | None = None
     noise_seed: int | None = None
@@ -91,14 +92,21 @@ class Simulation:
     """
 
     def __init__(self, cell_path: Path, options: ServeOptions, **pair: Any) -> None:
-        self.cell = _paced(read_cell(cell_path), options.pacing)
+        self.cell = _started(read_cell(cell_path), options)
         self.loads: dict[str, Payload] = read_payloads(options.payload) if options.payload else {}
         self.effects, self._build_seed = _undeclared(options)
         self._options = options
         faults = [fault for wanted in options.fault for fault in read_faults(wanted)]
-        _check_nodes(faults, self.cell)
+        nodes = sorted({axis.node_id for arm in self.cell.arms for axis in arm.axes})
+        if unknown := [fault for fault in faults if fault.node not in (0, *nodes)]:
+            raise FaultError(f"fault '{unknown[0].kind}': no drive has node {unknown[0].node} (drives: {nodes})")
         self._pair: TwoArms | None = None
-        units = self._units(pair)
+        units: dict[str, Unit] = {}
+        if self.cell.pair is None:
+            units |= {arm.name: self._unit(index) for index, arm in enumerate(self.cell.arms)}
+        else:
+            units |= pair_units(self.cell, options.seed, **pair)
+            self._pair = next(iter(units.values())).world
         self.specs = _bus_specs(self.cell, options.bus)
         self.servers: list[BusServer] = []
         if options.truth is not None:
@@ -113,13 +121,6 @@ class Simulation:
         for server in self.servers if options.unbuffered else ():
             for drive in server.drives:
                 drive.motion.buffered = False
-
-    def _units(self, pair: Mapping[str, Any]) -> Mapping[str, Unit]:
-        if self.cell.pair is None:
-            return {arm.name: self._unit(index) for index, arm in enumerate(self.cell.arms)}
-        units = pair_units(self.cell, self._options.seed, **pair)
-        self._pair = next(iter(units.values())).world
-        return units
 
     def _unit(self, index: int) -> ArmUnit:
         arm = self.cell.arms[index]
@@ -215,13 +216,21 @@ class Simulation:
                 unit.world.close()
 
 
-def _paced(cell: CellSpec, pacing: str | None) -> CellSpec:
-    """Return the cell with another pacing on every bus; None = unchanged."""
-    if pacing is None:
-        return cell
-    if pacing not in PACINGS:
-        raise CellFileError(f"pacing '{pacing}' is not known; it is {' or '.join(PACINGS)}.")
-    return replace(cell, buses={name: replace(bus, pacing=pacing) for name, bus in cell.buses.items()})
+def _started(cell: CellSpec, options: ServeOptions) -> CellSpec:
+    """Return the cell with the pacing and the start posture of the options."""
+    if options.pacing is not None:
+        if options.pacing not in PACINGS:
+            raise CellFileError(f"pacing '{options.pacing}' is not known; it is {' or '.join(PACINGS)}.")
+        cell = replace(cell, buses={name: replace(bus, pacing=options.pacing) for name, bus in cell.buses.items()})
+    if options.posture is not None:
+        arm, angles = cell.arms[0], tuple(map(float, options.posture.split(",")))
+        limits = [axis.position_limit_rad for axis in arm.axes]
+        inside = len(angles) == len(limits) and all(low <= q <= up for q, (low, up) in zip(angles, limits, strict=True))
+        if len(cell.arms) > 1 or not inside:
+            need = ", ".join(f"{low:g} to {up:g}" for low, up in limits)
+            raise CellFileError(f"--posture {options.posture}: give one angle a joint of the only arm, {need} rad.")
+        cell = replace(cell, arms=(replace(arm, start_rad=angles),))
+    return cell
 
 
 def _undeclared(options: ServeOptions) -> tuple[list[dict[str, Any]], int | None]:
@@ -268,13 +277,6 @@ def open_bus(spec: CellBus) -> can.BusABC | QuietMulticastBus:
         return can.Bus(interface=spec.interface, channel=spec.channel, bitrate=spec.bitrate_bit_s, **options)
     except (can.CanError, OSError, TypeError, ValueError, ImportError) as error:
         raise SimulationBusError(f"bus {spec.interface}:{spec.channel} cannot be opened: {error}") from error
-
-
-def _check_nodes(faults: list[Fault], cell: CellSpec) -> None:
-    nodes = sorted({axis.node_id for arm in cell.arms for axis in arm.axes})
-    for fault in faults:
-        if fault.node not in (0, *nodes):
-            raise FaultError(f"fault '{fault.kind}': no drive has node {fault.node} (drives: {nodes})")
 
 
 def _server(spec: CellBus, arms: list[Unit], faults: list[Fault], opened: ExitStack) -> BusServer:

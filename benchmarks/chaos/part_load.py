@@ -12,7 +12,8 @@ import numpy as np
 from benchmarks.chaos.rig import EXAMPLE, Rig
 from benchmarks.figure import figure
 from gateway.acquire.planning import make_plan
-from gateway.acquire.session import RecordRequest, record
+from gateway.acquire.session import record
+from gateway.data.recording.reader import read
 from gateway.estimate.joint import estimate_joint
 from gateway.model.visits import pair_visits
 from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
@@ -26,14 +27,12 @@ def figures(scope: Any) -> dict[str, dict]:
     """Record bare and loaded, without and with loss, and estimate both."""
     bar = scope.bar("load with 1 % of frames lost", 2)
     found = []
-    gaps = 0
     for share in (0.0, LOST):
         with tempfile.TemporaryDirectory(prefix="load-") as folder:
             path, missing = recorded(Path(folder), share)
-            gaps += missing
-            found.append(estimated(path))
+            found.append((*estimated(path), missing))
         bar.step()
-    (clean, clean_std), (lossy, _) = found
+    (clean, clean_std, _), (lossy, _, gaps) = found
     apart = np.abs(lossy - clean) / clean_std
     return {
         "load with 1 % lost, apart from without": figure(float(apart.max()), "<= 1", "std"),
@@ -59,7 +58,7 @@ def recorded(folder: Path, share: float) -> tuple[Path, int]:
                 plan = make_plan(opened.loaded, POSES)
                 if share:
                     rig.wire.arm_in(fault_of("tpdo_random_loss", syncs=0, share=share, seed=3), 50)
-                summary = record(opened, plan, RecordRequest(label, path, resume=True))
+                summary = record(opened, plan, label, path, read(path) if path.exists() else None)
                 missing += int(summary.statistics["incomplete"])
     return path, missing
 

@@ -30,8 +30,9 @@ from drives.errors import DriveError
 from drives.group import DriveGroup, GroupOptions
 from gateway.acquire.events import Event, VisitDone
 from gateway.acquire.planning import plan_of_poses
-from gateway.acquire.session import RecordRequest, record
+from gateway.acquire.session import record
 from gateway.cell.config import LoadedCell, load_cell
+from gateway.data.recording.reader import read
 from gateway.data.visit import RestPose
 from gateway.errors import GatewayError
 from gateway.model.arm_model import arm_named
@@ -293,7 +294,7 @@ def _record(job: Job, pipe: Connection) -> None:
                 block_queue(made[0], job.frames, lambda: pipe.send("full"))
             pipe.send("moving")
             plan = plan_of_poses(loaded, opened.config, opened.workspace, poses())
-            record(opened, plan, RecordRequest("none", job.path, resume=True), (notify,))
+            record(opened, plan, "none", job.path, read(job.path) if job.path.exists() else None, (notify,))
         pipe.send("done")
     except (DriveError, GatewayError) as error:
         pipe.send(f"error: {type(error).__name__}: {error}")

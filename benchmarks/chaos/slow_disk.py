@@ -20,7 +20,7 @@ from drives.errors import DriveError
 from gateway.acquire import session
 from gateway.acquire.events import Event, VisitDone
 from gateway.acquire.planning import plan_of_poses
-from gateway.acquire.session import RecordRequest, record
+from gateway.acquire.session import record
 from gateway.cell.config import load_cell
 from gateway.data.recording.queue import CAPACITY, VisitQueue
 from gateway.data.recording.writer import write_recording
@@ -150,7 +150,7 @@ def _record(folder: Path, bus: str, how: tuple[float, int, int], pipe: Connectio
         with open_arm(loaded, BusSpec.parse(bus), ledger=folder / "ledger.json") as opened:
             near = [replace(pose, number=number) for number, pose in enumerate(poses(visits // 2), start=1)]
             plan = plan_of_poses(loaded, opened.config, opened.workspace, near)
-            record(opened, plan, RecordRequest("none", folder / "run.h5"), (notify,))
+            record(opened, plan, "none", folder / "run.h5", None, (notify,))
     except (DriveError, GatewayError) as error:
         said = " ".join([str(error), *getattr(error, "__notes__", [])])
     except BaseException as error:

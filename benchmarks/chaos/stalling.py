@@ -22,7 +22,7 @@ from benchmarks.chaos.witness import REST_RAD_S, Track
 from drives.bus import BusSpec
 from drives.errors import DriveError
 from gateway.acquire.planning import plan_of_poses
-from gateway.acquire.session import RecordRequest, record
+from gateway.acquire.session import record
 from gateway.cell.config import load_cell
 from gateway.data.recording.reader import read
 from gateway.data.visit import RestPose
@@ -152,7 +152,7 @@ def _many(loaded: Any, folder: Path, bus: str, pipe: Connection) -> None:
                 desk = StopDesk()
                 try:
                     with signals_ask(desk):
-                        record(opened, plan, RecordRequest("none", path), (), MoveOptions(desk))
+                        record(opened, plan, "none", path, None, (), MoveOptions(desk))
                     pipe.send(("said", "finished"))
                 except (DriveError, GatewayError) as error:
                     pipe.send(("said", f"{type(error).__name__}: {error}"))

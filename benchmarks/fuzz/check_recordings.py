@@ -18,7 +18,7 @@ from benchmarks.fuzz.check_files import WORK, in_file
 from benchmarks.fuzz.guard import bounded
 from benchmarks.fuzz.mutate import edited
 from gateway.acquire.planning import plan_of_poses
-from gateway.acquire.session import RecordRequest, record
+from gateway.acquire.session import record
 from gateway.data.recording.reader import read
 from gateway.data.recording.seal import SEAL_BYTES, sealed
 from gateway.errors import InputError
@@ -35,7 +35,7 @@ def seed_recording() -> bytes:
     path = Path(WORK.name) / "seed.h5"
     with rig(few_samples) as made, made.open() as opened:
         plan = plan_of_poses(opened.loaded, opened.config, opened.workspace, poses(2))
-        record(opened, plan, RecordRequest("none", path))
+        record(opened, plan, "none", path)
     return path.read_bytes()
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.moving.scores import AXIS_NAMES, LOAD_NAMES, Truth, score
 from benchmarks.nature.moving_arm import box_inertia
-from gateway.acquire.session import RecordRequest, record_moving
+from gateway.acquire.session import record_moving
 from gateway.cell.config import load_cell
 from gateway.cli import main
 from gateway.excite.excitation import MovingPlan
@@ -90,7 +90,7 @@ def record_both(place: Place, handle: RunningSimulation, plan: MovingPlan) -> No
     for label in ("none", LABEL):
         handle.mount(label)
         with context.opened(arm) as opened:
-            record_moving(opened, plan, RecordRequest(label, place.run(label)))
+            record_moving(opened, plan, label, place.run(label))
 
 
 def estimated(place: Place) -> Result:

@@ -1,6 +1,6 @@
 """Open every page in a headless Chromium, wide, narrow and on paper; count what overlaps or is cut off.
 
-python -m benchmarks.pages [--out out/pages] [RESULT.json ...]
+python -m benchmarks.pages [--out out/pages]
 
 Leaves each page as HTML, PNG (1280 and 390 px) and PDF beside `summary.json`. Needs the Debian packages chromium,
 chromium-driver and poppler-utils.
@@ -11,27 +11,24 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 from itertools import chain
-from pathlib import Path
 
 from benchmarks.figure import conclude, figure
 from benchmarks.program import options
 from tests.support.pages.browser import BrowserMissing, browser
 from tests.support.pages.faults import Fault, faults_of
 from tests.support.pages.fleet import fleet_pages
-from tests.support.pages.samples import pages
+from tests.support.pages.samples import PAGES
 
 
 def main() -> int:
     """Exit 1 when a goal is missed."""
-    parser = options(__doc__, "out/pages")
-    parser.add_argument("results", type=Path, nargs="*", help="result files, each of them a further page")
-    arguments = parser.parse_args()
+    arguments = options(__doc__, "out/pages").parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     found: list[Fault] = []
     opened = 0
     try:
         with browser() as window:
-            for name, text in chain(pages(arguments.results), fleet_pages()):
+            for name, text in chain(((name, page()) for name, page in PAGES.items()), fleet_pages()):
                 file = arguments.out / f"{name}.html"
                 file.write_text(text, encoding="utf-8")
                 found += faults_of(window, file)

@@ -21,7 +21,7 @@ import pinocchio
 
 from benchmarks.figure import figure
 from gateway.errors import ConfigError
-from gateway.model.placeholders import placeholders
+from gateway.model.placeholders import model_remarks
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.urdf_text import read_urdf
@@ -356,8 +356,8 @@ def right(robot: Robot, case: Case) -> tuple[str, float]:
     expected = tuple(f"joint_{number}" for number in range(1, case.axes + 1))
     if robot.joint_names != expected:
         return f"read as {robot.joint_names}", 0.0
-    unusable = [solids_of(shapes, robot.source)[1] for shapes in robot.shapes]
-    said = "\n".join([*robot.remarks, *placeholders(robot), *(line for lines in unusable for line in lines)])
+    unusable = (line for shapes in robot.shapes for line in solids_of(shapes, robot.source)[1])
+    said = "\n".join([*model_remarks(robot), *unusable])
     unnamed = [pattern for pattern in case.named if not re.search(pattern, said)]
     return (f"not named: {unnamed[0]}" if unnamed else ""), torque_error(robot, case.clean)
 

@@ -8,12 +8,12 @@ from typing import Final
 
 from drives.draft.answers import ProfileAnswers, address_of
 from drives.draft.device import Address, Device, velocity_unit_rad_s
+from drives.objects import OBJECTS
 from drives.profile import resolution
 
-TORQUE: Final = (0x6077, 0)
-CURRENT: Final = (0x6078, 0)
-RATED: Final = {"permille_rated_torque": (0x6076, 0), "permille_rated_current": (0x6075, 0)}
-COUNTS: Final = ((0x608F, 1), (0x608F, 2))
+TORQUE, CURRENT = (OBJECTS[name].address for name in ("torque", "current"))
+RATED: Final = {f"permille_{name}": OBJECTS[name].address for name in ("rated_torque", "rated_current")}
+COUNTS: Final = tuple(OBJECTS[name].address for name in ("encoder_increments", "encoder_revolutions"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,6 @@ from gateway.acquire.run_loop import MotionSource, Run, rest_visits
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.blackbox.part import BoxHeader
 from gateway.data.recording.queue import VisitQueue
-from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
 from gateway.data.recording.writer import ArmHeader, RecordingHeader
 from gateway.data.visit import RestPose
@@ -38,28 +37,6 @@ from gateway.result.origin import software
 
 #: Fields of a summary that the JSON of a recording at rest, and of one in motion, leaves out.
 MOVING_KEYS, REST_KEYS = ("reason", "periods", "missed"), ("reason", "visits", "friction_band_nm")
-
-
-@dataclass(frozen=True, slots=True)
-class RecordRequest:
-    """Measurement under one load.
-
-    Attributes
-    ----------
-    load : str
-        Label of the mounted load, `none` for the unloaded arm.
-    path : Path
-        The recording.
-    resume : bool
-        Continue an existing file: measure only what is missing under this load.
-    again : bool
-        Measure the poses of the plan again, even if the file already holds them under this load.
-    """
-
-    load: str
-    path: Path
-    resume: bool = False
-    again: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,31 +98,49 @@ def plan_of_recording(loaded: LoadedCell, recording: Recording, arm: str | None 
 def record(
     opened: OpenArm,
     plan: Plan,
-    request: RecordRequest,
+    load: str,
+    path: Path,
+    earlier: Recording | None = None,
     listeners: Sequence[Listener] = (),
     options: MoveOptions | None = None,
+    *,
+    again: bool = False,
 ) -> RecordingSummary:
     """Measure a plan under one load; the brakes are on before and after. Without missing visits the arm does not move.
 
     If the operator requests a stop through the desk of `options`, the arm stops and the measured visits are kept.
 
+    Parameters
+    ----------
+    opened : OpenArm
+    plan : Plan
+    load : str
+        Label of the mounted load, `none` for the unloaded arm.
+    path : Path
+        The recording.
+    earlier : Recording or None
+        Its content so far: only what is missing under this load is measured. None: a new file.
+    listeners : sequence of Listener
+    options : MoveOptions, optional
+    again : bool
+        Measure the poses of the plan again, even if the file already holds them under this load.
+
     Raises
     ------
     InputError
-        The file exists and `resume` is not set, or it belongs to another cell or other poses.
+        The file exists and is not continued, or it belongs to another cell or other poses.
     PlanRefused, DriveError, KeyboardInterrupt
         As `record_motions`.
     """
-    earlier = read(request.path) if request.resume and request.path.exists() else None
     stored = None if earlier is None else earlier.arm(plan.arm)
     wanted = {(pose.number, side) for pose in plan.poses for side in (-1, 1)}
-    done = () if stored is None or request.again else tuple(wanted.intersection(stored.done(request.load)))
+    done = () if stored is None or again else tuple(wanted.intersection(stored.done(load)))
     motions = rest_visits(plan, opened.arm, opened.workspace, done)
     return record_motions(
         opened,
         motions,
-        request.load,
-        request.path,
+        load,
+        path,
         earlier,
         poses=plan.poses,
         skipped=len(done),
@@ -302,18 +297,20 @@ def plain(value: Any) -> Any:
 def record_moving(
     opened: OpenArm,
     plan: MovingPlan,
-    request: RecordRequest,
+    load: str,
+    path: Path,
+    earlier: Recording | None = None,
     listeners: Sequence[Listener] = (),
     options: MoveOptions | None = None,
 ) -> RecordingSummary:
-    """Drive a moving plan under one load; without missing periods the arm does not move.
+    """Drive a moving plan under one load; without missing periods the arm does not move. Parameters as of `record`.
 
     If the operator requests a stop through the desk of `options`, the arm stops and the measured periods are kept.
 
     Raises
     ------
     InputError
-        The file exists and `resume` is not set, or it belongs to another cell.
+        The file exists and is not continued, or it belongs to another cell.
     PlanRefused
         A motion violates a limit, or no path leads to its start; no drive was enabled.
     LimitExceeded, DriveError, KeyboardInterrupt
@@ -326,17 +323,16 @@ def record_moving(
         )
     check_moving_plan(plan, opened.workspace, opened.config, opened.arm.known)
     options = options or MoveOptions()
-    earlier = read(request.path) if request.resume and request.path.exists() else None
     stored = None if earlier is None else earlier.arm(plan.arm)
-    driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(request.load)
+    driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(load)
     period_s = opened.group.timing.period_s
-    passes = passes_of(plan, request.load, driven, options.override, period_s)
+    passes = passes_of(plan, load, driven, options.override, period_s)
     settings = replace(visit_settings(opened.loaded, opened.config), period_s=period_s)
     return record_motions(
         opened,
         driven_passes(opened.arm, opened.workspace, opened.config, passes, settings),
-        request.load,
-        request.path,
+        load,
+        path,
         earlier,
         excitations={fingerprint(excitation): excitation.plain() for excitation in plan.excitations},
         skipped=sum(excitation.periods for excitation in plan.excitations)

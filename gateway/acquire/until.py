@@ -31,7 +31,6 @@ from gateway.acquire.run_loop import MotionSource
 from gateway.acquire.session import RecordingSummary, record_motions
 from gateway.acquire.until_goal import OPTION, Goal, Narrowness, best_first, ended, half_widths, judge, narrowed
 from gateway.cell.config import ArmConfig, LoadedCell
-from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table, concatenate
 from gateway.data.visit import RestPose, Visit
@@ -48,7 +47,7 @@ from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import BAND_SHARE, Workspace
-from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows, split_validation
+from gateway.pipeline.inputs import ModelRequest, inputs_from_recordings, read_rows, split_validation
 
 Floats = NDArray[np.float64]
 
@@ -134,10 +133,11 @@ def search_of(
     label: str,
     goal: Goal,
     path: Path,
+    earlier: Recording | None,
     model: ModelRequest,
     apart_rad: Floats,
-) -> tuple[LoadSearch, Recording | None]:
-    """Return the search for a load, and the recording that it continues.
+) -> LoadSearch:
+    """Return the search for a load.
 
     Parameters
     ----------
@@ -148,7 +148,9 @@ def search_of(
     label : str
     goal : Goal
     path : Path
-        The recording; an existing one is continued.
+        The recording.
+    earlier : Recording or None
+        Its content so far.
     model : ModelRequest
         Cell and arm; a stored identification of the unloaded arm, and weighed loads of the recording.
     apart_rad : array of shape (k, N)
@@ -157,7 +159,7 @@ def search_of(
     Raises
     ------
     InputError
-        The unloaded arm is not identified, or a file cannot be used.
+        The unloaded arm is not identified, or the stored one cannot be used.
     PlanRefused
         Too few postures can be measured.
     """
@@ -166,12 +168,10 @@ def search_of(
             f"{OPTION}: load '{BARE_LABEL}' is the unloaded arm, for which no mass is estimated; measure it without"
             f" {OPTION}, then each load with {OPTION}"
         )
-    earlier = read(path) if path.exists() else None
     stored = None if earlier is None else earlier.arm(arm.name)
-    measured = stored is not None and any(visit.complete for visit in stored.visits)
-    paths = [path] if measured else []
-    about = collect_inputs(model, paths)
-    table = read_rows(paths, about) if measured else None
+    measured = [earlier] if earlier and stored and any(visit.complete for visit in stored.visits) else []
+    about = inputs_from_recordings(model, measured)
+    table = read_rows([recording.path for recording in measured], about) if measured else None
     if table is not None and len(apart_rad):
         table = split_validation(table)[0]
     knowledge = about.knowledge.of_robot(about.model)
@@ -187,7 +187,7 @@ def search_of(
     poses = loaded.cell.poses
     count, random = poses.count + poses.validation, np.random.default_rng(poses.seed)
     used = [] if stored is None else [*(pose.number for pose in stored.poses), *(visit.pose for visit in stored.visits)]
-    search = LoadSearch(
+    return LoadSearch(
         arm=arm.name,
         label=label,
         goal=goal,
@@ -202,7 +202,6 @@ def search_of(
         seed=poses.seed,
         torque_scale=np.ones(about.model.axes) if about.calibrated is None else about.calibrated.scale,
     )
-    return search, earlier
 
 
 def decide(search: LoadSearch, measured: Table | None, at_rad: Floats) -> NextStep:

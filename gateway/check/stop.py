@@ -75,13 +75,13 @@ class StopProof:
 
     def as_json(self) -> dict[str, Any]:
         """Return the proof as plain values."""
-        return {
-            "arm": self.arm,
-            "drives": [
-                asdict(trace) | {"state": str(trace.state), "moved_joint_rad": moved, "coast_joint_rad": coast}
-                for trace, moved, coast in zip(self.traces, self.moved_rad, self.coast_rad, strict=True)
-            ],
-        }
+        drives = [
+            asdict(trace) | {"state": str(trace.state), "moved_joint_rad": moved, "coast_joint_rad": coast}
+            for trace, moved, coast in zip(self.traces, self.moved_rad, self.coast_rad, strict=True)
+        ]
+        for drive in drives:
+            del drive["samples"]
+        return {"arm": self.arm, "drives": drives}
 
 
 def slow_motion(
@@ -137,7 +137,11 @@ def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndar
         yield np.where(flip >> np.arange(axes) & 1, -inward, inward)
 
 
-def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof:
+def prove_stop(
+    opened: OpenArm,
+    options: MoveOptions | None = None,
+    lost: Callable[[tuple[StopTrace, ...]], None] = lambda _traces: None,
+) -> StopProof:
     """Move slowly, withhold the heartbeat and monitor every drive; repeat with a quick stop; then move back.
 
     Faults are reset as by `without_heartbeat`. If a drive did not stop as stated, nothing moves any more. An arm that
@@ -148,6 +152,8 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     opened : OpenArm
         Connected and configured, brakes on.
     options : MoveOptions, optional
+    lost : callable
+        Takes the traces of the loss of the heartbeat, before the quick stop.
 
     Raises
     ------
@@ -159,6 +165,7 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     options = options or MoveOptions()
     start_rad = opened.arm.where()
     traces, speed_rad_s, left = without_heartbeat(opened, options)
+    lost(traces)
     proof = replace(_judge(opened, traces, speed_rad_s, left), override=options.override)
     if not proof.passed:
         return proof
@@ -313,14 +320,18 @@ def _reset_provoked(opened: OpenArm, traces: tuple[StopTrace, ...]) -> dict[int,
             if decode_state(drive.statusword()) is not State.FAULT:
                 continue
             code = drive.access.read(OBJECTS["error_code"])
-            early = trace.left_s is not None and trace.left_s < EARLY * trace.stated_s
-            if code >> 8 != COMMUNICATION_CLASS or early:
+            if code >> 8 != COMMUNICATION_CLASS or _is_early(trace):
                 left[drive.node_id] = f"stays in FAULT, error code 0x{code:04X}, which no lost heartbeat explains"
                 continue
             drive.reset_fault()
         except DriveError as error:
             left[drive.node_id] = str(error)
     return left
+
+
+def _is_early(trace: StopTrace) -> bool:
+    """Return whether a drive stopped too early for a lost heartbeat."""
+    return trace.left_s is not None and trace.left_s < EARLY * trace.stated_s
 
 
 def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, left: dict[int, str]) -> StopProof:
@@ -356,7 +367,7 @@ def _judged(where: str, trace: StopTrace, moved_rad: float, coast_rad: float) ->
     if not trace.in_time:
         advice = "lower consumer_ms of its profile, or correct what the profile states"
         return Finding("fail", where, f"{seen}: too late, {path}", advice)
-    if trace.left_s < EARLY * trace.stated_s:
+    if _is_early(trace):
         advice = "another cause has stopped it; find the cause, then repeat the test of the stop"
         return Finding("fail", where, f"{seen}: too early for a lost heartbeat", advice)
     if not trace.stood:

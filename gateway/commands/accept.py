@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +11,6 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import axis_names, grid
-from gateway.commands.guided import recording_in
 from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
@@ -22,8 +20,8 @@ from gateway.commands.shared_options import (
     common,
     json_option,
     measurement_options,
-    note_remarks,
     output_option,
+    refuse_unwritable,
     reserve,
     session_of,
     write_json,
@@ -83,13 +81,11 @@ def accept(
     from gateway.commands.terminal import terminal
     from gateway.jobs.accept import accept as run
     from gateway.jobs.cell_context import open_cell
-    from gateway.model.arm_model import arm_named, arm_robot
-    from gateway.motion.stream import MoveOptions
 
-    context = open_cell(cell, bus_spec, reserve, moving.pacing)
-    note_remarks(arm_robot(context.loaded, arm_named(context.loaded, arm_name)))
-    recording = out / _RECORDING if data else recording_in(out, _RECORDING, resume, context.loaded)
-    with nullcontext(MoveOptions()) if data else stoppable(moving) as options:
+    context, recording = open_cell(cell, bus_spec, reserve, moving.pacing), out / _RECORDING
+    if not data:
+        refuse_unwritable(recording, "--out")
+    with stoppable(moving) as options:
         answer = run(
             context,
             load_file,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Final
 
 import click
 
 from gateway.commands.console import findings_table, grid
-from gateway.commands.guided import measured_data_noted, recording_in
+from gateway.commands.guided import measured_data_noted
 from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.result_output import fail_on_findings
@@ -21,7 +20,6 @@ from gateway.commands.shared_options import (
     common,
     json_option,
     measurement_options,
-    note_remarks,
     refuse_unwritable,
     reserve,
     session_of,
@@ -65,8 +63,6 @@ def calibrate(
     from gateway.jobs.calibrate import calibrate as run
     from gateway.jobs.calibrate import store_calibration
     from gateway.jobs.cell_context import open_cell
-    from gateway.model.arm_model import arm_named, arm_robot
-    from gateway.motion.stream import MoveOptions
     from gateway.pipeline.known import parse_known
     from gateway.result.values import plain_values
 
@@ -75,11 +71,11 @@ def calibrate(
     if wrong:
         raise click.UsageError(f"--known {label}: '{label}' {wrong}")
     context, session, path = open_cell(cell, bus_spec, reserve, moving.pacing), session_of(), calibration_path(cell)
-    note_remarks(arm_robot(context.loaded, arm_named(context.loaded, arm_name)))
     refuse_unwritable(path, "calibration file")
-    recording = out / _RECORDING if data else recording_in(out, _RECORDING, resume, context.loaded)
-    motion = nullcontext(MoveOptions()) if data else stoppable(moving)
-    with measured_data_noted(recording, resume, "calibrate"), motion as options:
+    recording = out / _RECORDING
+    if not data:
+        refuse_unwritable(recording, "--out")
+    with measured_data_noted(recording, resume, "calibrate"), stoppable(moving) as options:
         calibration = run(
             context,
             label,

@@ -18,12 +18,9 @@ from gateway.errors import FindingFailed
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from gateway.result.compare import ResultComparison
+    from gateway.result.compare import ResultComparison, Tolerance
     from gateway.result.repeatability import Repeatability
     from gateway.result.result import Result
-
-if TYPE_CHECKING:
-    from gateway.result.compare import Tolerance
 
 
 def _tolerance(_ctx: click.Context, _param: click.Parameter, value: str | None) -> dict[str, Tolerance]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -19,12 +17,6 @@ from gateway.commands.shared_options import (
     session_of,
     writes,
 )
-from gateway.errors import FindingFailed
-
-if TYPE_CHECKING:
-    from gateway.drivetest.run import DriveTestRun
-
-PAGE = "drive-test.html"
 
 
 @click.group()
@@ -52,65 +44,31 @@ def drive() -> None:
 @move_options
 @common
 def drive_test(
-    cell: Path,
-    axes: tuple[str, ...],
-    folder: Path,
-    arm_name: str | None,
-    bus_spec: str | None,
-    moving: MoveChoice,
+    cell: Path, axes: tuple[str, ...], folder: Path, arm_name: str | None, bus_spec: str | None, moving: MoveChoice
 ) -> None:
     """Measure the timing of each drive. The arm moves a little, after confirmation.
 
     A drive that fails is named, and nothing moves any more. What was measured is written in every case.
     """
-    from gateway.commands.pages import write_page
-    from gateway.drivetest.run import TEST_ENDS, DriveTestRun, axes_named
+    from gateway.commands.terminal import terminal
     from gateway.jobs.cell_context import open_cell
-    from gateway.jobs.frame import AT_HAND, begin_motion
+    from gateway.jobs.drive_test import PAGE, measure_timing
     from gateway.model.arm_model import arm_named
-    from gateway.report.drive_test_page import render_drive_test
 
-    context = open_cell(cell, bus_spec, reserve, moving.pacing)
+    context, session = open_cell(cell, bus_spec, reserve, moving.pacing), session_of()
     arm = arm_named(context.loaded, arm_name)
-    try:
-        numbers = axes_named(axes, len(arm.axis))
-    except ValueError as error:
-        raise click.UsageError(f"--axis: {error}") from None
-    session = session_of()
-    for name in [PAGE, *(f"J{number + 1}.json" for number in numbers)]:
+    numbers = {f"J{number + 1}": number for number in range(len(arm.axis))}
+    if unknown := [name for name in axes if name.upper() not in numbers]:
+        raise click.UsageError(f"--axis: '{unknown[0]}' is not an axis of this arm: give one of {', '.join(numbers)}")
+    axes = tuple(name.upper() for name in axes) or tuple(numbers)
+    for name in [PAGE, *(f"{axis}.json" for axis in axes)]:
         refuse_to_replace(folder / name, "-o", session)
-    what = (
-        "will move a little on every joint, and the master's heartbeat is stopped on purpose (the resulting drive"
-        " faults are reset)"
-    )
-    test: DriveTestRun | None = None
-    ended: Exception | None = None
-    try:
-        with stoppable(moving) as options, context.opened(arm) as opened, context.last_seconds(options, opened):
-            options = begin_motion(
-                context, (opened,), options, moving.ask, session.note, what=what, also=AT_HAND, proof="own"
-            )
-            test = DriveTestRun(opened, numbers, folder, session.note)
-            try:
-                test.run(options, context.stop_proof(arm))
-            finally:
-                created = datetime.now(UTC).isoformat(timespec="seconds")
-                write_page(folder / PAGE, render_drive_test(context.loaded.cell.name, created, test.reports))
-    except TEST_ENDS as error:
-        if test is None:
-            raise
-        ended = error
-    failed = [report for report in test.reports if report.findings]
-    for report in test.reports:
-        session.show(f"{report.axis} node {report.node}: {len(report.findings)} findings")
-        for text in report.findings:
-            session.show(f"  {text}")
-    session.show(f"{folder / PAGE}: page of {len(test.reports)} drives")
-    if failed and (test.is_explained or isinstance(ended, FindingFailed)):
-        names = ", ".join(f"{report.axis} node {report.node}" for report in failed)
-        raised = FindingFailed(f"the test of {names} has findings; see {folder / PAGE}")
-        for note in getattr(ended, "__notes__", ()):
-            raised.add_note(note)
-        raise raised
-    if ended is not None:
-        raise ended
+    tested, operator = {numbers[name] for name in axes}, terminal(session, moving)
+    with stoppable(moving) as options:
+        reports, failure = measure_timing(context, folder, operator, options, arm=arm.name, axes=tested)
+    for report in reports:
+        heading = f"{report.axis} node {report.node}: {len(report.findings)} findings"
+        session.show("\n  ".join([heading, *report.findings]))
+    session.show(f"{folder / PAGE}: page of {len(reports)} drives")
+    if failure is not None:
+        raise failure

@@ -33,7 +33,6 @@ from gateway.errors import GatewayError
 
 if TYPE_CHECKING:
     from gateway.acquire.until_goal import Goal
-    from gateway.cell.config import LoadedCell
     from gateway.result.acceptance import Expected
     from gateway.result.result import Result
 
@@ -119,7 +118,8 @@ def commission(
     def measure(repetition: int, folder: Path) -> Result:
         """Measure into a folder, write result and report, and show them."""
         context.reserve(arm)
-        recording = recording_in(folder, RECORDING, resume, context.loaded)
+        recording = folder / RECORDING
+        refuse_unwritable(recording, "--out")
         result_file, page = folder / "result.json", folder / "report.html"
         written = () if resume else (recording, folder / WARM_UP, result_file, page)
         with measured_data_noted(recording, resume, "commission"), stoppable(moving) as options:
@@ -164,24 +164,6 @@ def measured_data_noted(recording: Path, is_continued: bool, command: str) -> Ge
         if recording.exists() and (is_continued or recording.stat().st_ino != before):
             error.add_note(f"Measured data: {recording}; {command} --resume continues once the cause is gone.")
         raise
-
-
-def recording_in(out: Path, name: str, resume: bool, loaded: LoadedCell) -> Path:
-    """Return the recording `out`/`name`, which can be written; with `resume` one of another cell is refused.
-
-    Raises
-    ------
-    InputError
-    """
-    from gateway.data.recording.reader import read
-    from gateway.data.recording.writer import refuse_other_cell
-
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / name
-    refuse_unwritable(path, "--out")
-    if resume and path.exists():
-        refuse_other_cell(read(path), loaded.text)
-    return path
 
 
 def longest_warm_up_s(thermal: bool, warm_up_min: float | None, until: object | None) -> float | None:

@@ -125,15 +125,19 @@ def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
 
     with ExitStack() as stack:
         options = stack.enter_context(stopped_by_signals(move.override / 100.0, outputs_watched()))
-        desk = options.desk
+        desk, observers = options.desk, options.observers
         stack.enter_context(session_of().detached())
-        if move.live:
+
+        def show_page() -> None:
             from gateway.live.page import LivePage
 
             page = stack.enter_context(LivePage(f"servo-gateway {click.get_current_context().info_name}"))
             desk.watch(page.feed.pressed)
             session_of().note(f"live page: {page.address}")
-            options.observers.add(page.feed)
+            observers.add(page.feed)
+
+        if move.live:
+            options = replace(options, before_question=show_page)
         if not move.hold_to_run:
             yield options
             return

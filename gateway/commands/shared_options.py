@@ -309,9 +309,9 @@ data_argument = click.argument("data", nargs=-1, required=True, type=FILE)
 
 def note_remarks(robot: Robot | None) -> None:
     """Print the parts of a robot description that are ignored or placeholders."""
-    from gateway.model.placeholders import placeholders
+    from gateway.model.placeholders import model_remarks
 
-    for remark in () if robot is None else (*robot.remarks, *placeholders(robot)):
+    for remark in () if robot is None else model_remarks(robot):
         session_of().note(remark)
 
 

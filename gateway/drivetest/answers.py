@@ -1,11 +1,12 @@
 """Answers of disabled drives in NMT state OPERATIONAL, in real time: to SYNC at several periods, and to controlwords.
 
-`measure_answers` runs these tests; it energises nothing. `FrameRecord` stores the frames of the bus with their times.
+`measure_answers` runs these tests; it energises nothing.
 """
 
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -44,9 +45,6 @@ CELL_SYNCS: Final = 200
 CONTROLWORDS: Final = 20
 #: How long a controlword may take to show in the statusword; a drive that needs longer is not moved [s].
 LONGEST_REACTION_S: Final = 0.5
-#: Half-width of the error of a time stamp [s]: by the kernel or the sender, and where the adapter gives none.
-STAMP_S: Final = 0.0001
-UNSTAMPED_S: Final = 0.001
 #: A time stamp that is older than this was taken by another clock [s].
 OLDEST_S: Final = 10.0
 
@@ -56,36 +54,12 @@ REACTION_LIMIT_S: Final = 0.02
 ANSWER_SHARE: Final = 0.2
 
 
-class FrameRecord:
-    """Frames received and sent on a bus, with the monotonic time [s] at which each was on the bus.
-
-    Parameters
-    ----------
-    bus : Bus
-
-    Attributes
-    ----------
-    resolution_s : float
-        By how much these times may be wrong, to either side.
-    """
-
-    def __init__(self, bus: Bus) -> None:
-        self.resolution_s = STAMP_S if bus.stamped else UNSTAMPED_S
-        self._frames: list[tuple[int, bytes, float]] = []
-        self._stamped = bus.stamped
-
-    def take(self, frame: Frame, received: bool) -> None:
-        """Add a frame; the time of one that was sent, or has no valid time stamp, is the present."""
-        now_s, age_s = time.monotonic(), time.time() - frame.timestamp
-        back_s = age_s if received and self._stamped and 0.0 < age_s < OLDEST_S else 0.0
-        self._frames.append((frame.arbitration_id, bytes(frame.data), now_s - back_s))
-
-    def of(self, can_id: int, since_s: float) -> list[tuple[bytes, float]]:
-        """Return data and time of the frames with an id since a time."""
-        return [(data, at_s) for number, data, at_s in self._frames if number == can_id and at_s >= since_s]
+def stamp_resolution_s(bus: Bus) -> float:
+    """Return by how much a time stamp may be wrong, to either side [s]: taken by the kernel or the sender, or here."""
+    return 0.0001 if bus.stamped else 0.001
 
 
-def measure_answers(group: DriveGroup, tested: Mapping[int, DriveTestReport], frames: FrameRecord) -> None:
+def measure_answers(group: DriveGroup, tested: Mapping[int, DriveTestReport]) -> None:
     """Measure the answers of some drives to SYNC and to controlwords that energise nothing.
 
     The interpolation period of the cell and NMT state PRE-OPERATIONAL are restored in every case.
@@ -96,56 +70,79 @@ def measure_answers(group: DriveGroup, tested: Mapping[int, DriveTestReport], fr
         Configured, disabled.
     tested : mapping of int to DriveTestReport
         Axes to test, from 0; figures and findings are added to their reports.
-    frames : FrameRecord
-        Takes the frames of the bus of the group.
 
     Raises
     ------
     FindingFailed
         A drive does not react to controlwords.
     """
-    bus, drives, axes, period_s = group.bus, group.drives, list(tested), group.timing.period_s
+    bus, period_s, reacting = group.bus, group.timing.period_s, list(tested)
+    #: Monotonic times at which frames of each identifier were on the bus; without a valid time stamp, of their arrival.
+    times_s: defaultdict[int, list[float]] = defaultdict(list)
+    resolution_s, stamped = stamp_resolution_s(bus), bus.stamped
+
+    def take(frame: Frame, received: bool) -> None:
+        now_s, age_s = time.monotonic(), time.time() - frame.timestamp
+        back_s = age_s if received and stamped and 0.0 < age_s < OLDEST_S else 0.0
+        times_s[frame.arbitration_id].append(now_s - back_s)
+
+    bus.add_tap(take)
     try:
-        _nmt(group, NmtCommand.START, axes, 0.1)
+        seen, refused = _answers(group, reacting, times_s, period_s, CELL_SYNCS)
         method = (
             f"{CELL_SYNCS} SYNCs at {1000 * period_s:g} ms, axis disabled; time stamps of the frames ± "
-            f"{1000 * frames.resolution_s:g} ms, and the time that this computer took to send each SYNC"
+            f"{1000 * resolution_s:g} ms, and the time that this computer took to send each SYNC"
         )
-        for number, seen in _answers(group, axes, frames, period_s, CELL_SYNCS).items():
+        for number, answers in seen.items():
             for name, share in QUANTILES:
-                figure = quantile_figure(name, seen.delays_s, share, frames.resolution_s, method)
+                figure = quantile_figure(name, answers.delays_s, share, resolution_s, method)
                 limit = ANSWER_SHARE * period_s if name == "sync_to_tpdo_s" else None
                 advice = "see the event and inhibit time of its TPDO, and the load of the bus"
                 add_figure(tested[number], figure, limit, advice)
+        for number, why in refused.items():
+            tested[number].figures.extend(TimingFigure(name, why) for name, _ in QUANTILES)
         method = (
             f"{CONTROLWORDS} controlwords 0x06 and 0x00 by RPDO and SYNC, axis disabled; statusword polled by SDO, "
             "whose round trip limits the interval"
         )
-        failed: list[int] = []
+        _nmt(group, NmtCommand.START, reacting, 0.1)
         for number, report in tested.items():
             try:
-                bounds = _reactions(bus, drives[number])
+                bounds = _reactions(bus, group.drives[number])
             except DriveError as error:
-                failed.append(number)
+                reacting.remove(number)
                 report.findings.append(f"controlword to reaction: {error}")
-                add_figure(report, TimingFigure.not_measured("controlword_to_reaction_s", str(error)))
+                add_figure(report, TimingFigure("controlword_to_reaction_s", str(error)))
                 continue
-            figure = quantile_figure("controlword_to_reaction_s", bounds, 0.5, frames.resolution_s, method)
+            figure = quantile_figure("controlword_to_reaction_s", bounds, 0.5, resolution_s, method)
             advice = "it delays every stop: see the cycle time and the filters of the drive"
             add_figure(report, figure, REACTION_LIMIT_S, advice)
-        _nmt(group, NmtCommand.ENTER_PREOPERATIONAL, axes, 0.02)
+        _nmt(group, NmtCommand.ENTER_PREOPERATIONAL, list(tested), 0.02)
         for counted_s, count in PERIODS:
-            reacting = {number: tested[number] for number in axes if number not in failed}
-            _count_pdos(group, reacting, frames, counted_s, count)
-        if failed:
-            names = ", ".join(f"{tested[number].axis} node {tested[number].node}" for number in failed)
+            seen, refused = _answers(group, reacting, times_s, counted_s, count)
+            method = f"SYNCs at {1000 * counted_s:g} ms that this computer sent on time, axis disabled"
+            late = f"{method}; later than {DELAYED_SHARE:g} of the period"
+            advice = "see its cable, the load of the bus, and the inhibit time of its TPDO"
+            for kind, counter, text in (("missed_pdo", "missed", method), ("late_pdo", "delayed", late)):
+                name = f"{kind}_{1000 * counted_s:.0f}ms"
+                figures = [share_figure(name, getattr(one, counter), one.counted, text) for one in seen.values()]
+                shares = [figure.value or 0.0 for figure in figures]
+                for place, (number, figure) in enumerate(zip(seen, figures, strict=True)):
+                    # a period that is shorter than that of the cell is not required of a drive
+                    limit = permitted_share(shares, place) if counted_s >= period_s else None
+                    add_figure(tested[number], figure, limit, advice)
+                for number, why in refused.items():
+                    add_figure(tested[number], TimingFigure(name, why))
+        if failed := [tested[number] for number in tested if number not in reacting]:
+            names = ", ".join(f"{report.axis} node {report.node}" for report in failed)
             raise FindingFailed(f"{names}: no reaction to a controlword; nothing moves")
     finally:
-        _nmt(group, NmtCommand.ENTER_PREOPERATIONAL, axes, 0.02)
+        bus.remove_tap(take)
+        _nmt(group, NmtCommand.ENTER_PREOPERATIONAL, list(tested), 0.02)
         for number, report in tested.items():
-            refused = _set_period(drives[number], period_s)
-            if refused:  # `DriveGroup.enable` refuses such a drive: nothing moves
-                report.findings.append(f"the interpolation period of the cell was not restored: {refused}")
+            refusal = _set_period(group.drives[number], period_s)
+            if refusal:  # `DriveGroup.enable` refuses such a drive: nothing moves
+                report.findings.append(f"the interpolation period of the cell was not restored: {refusal}")
 
 
 def _nmt(group: DriveGroup, command: NmtCommand, axes: Sequence[int], wait_s: float) -> None:
@@ -164,19 +161,57 @@ def _sync(bus: Bus) -> tuple[float, float]:
 
 
 def _answers(
-    group: DriveGroup, axes: Sequence[int], frames: FrameRecord, period_s: float, count: int
-) -> dict[int, SyncAnswers]:
-    """Send SYNCs in real time; return the answers of each of these axes, whose drives are NMT OPERATIONAL."""
-    clock, sent_s = SyncClock(group.bus, period_s), list[tuple[float, float]]()
-    with RealTime():
-        for _ in range(count):
-            due_s = clock.wait()
-            sent_s.append(_sync(group.bus))
-            clock.sent(due_s)
-    group.bus.listen(2.0 * period_s)
-    ids = [group.drives[number].answers[0][0] for number in axes]
-    answers_s = [[at_s for _, at_s in frames.of(can_id, sent_s[0][0])] for can_id in ids]
-    return dict(zip(axes, count_answers(np.array(sent_s), answers_s, period_s), strict=True))
+    group: DriveGroup, axes: Sequence[int], times_s: Mapping[int, list[float]], period_s: float, count: int
+) -> tuple[dict[int, SyncAnswers], dict[int, str]]:
+    """Send SYNCs in real time at one SYNC and interpolation period, to as many drives at once as the bus takes.
+
+    Parameters
+    ----------
+    group : DriveGroup
+    axes : sequence of int
+        Their drives are NMT PRE-OPERATIONAL, before and after.
+    times_s : mapping
+        Filled with the times of the frames of each identifier.
+    period_s, count : float, int
+        SYNC period and number of SYNCs.
+
+    Returns
+    -------
+    answers : dict of int to SyncAnswers
+    refused : dict of int to str
+        Why a drive was not measured at this period.
+    """
+    bus = group.bus
+    tpdos = max((len(group.drives[number].answers) for number in axes), default=1)
+    most = len(axes)
+    while (
+        most
+        and load_percent(cycle_bits_worst([0, *[8] * (tpdos * most)]), period_s, bus.spec.bitrate_bit_s)
+        > LOAD_LIMIT_PERCENT
+    ):
+        most -= 1
+    if not most:
+        return {}, dict.fromkeys(axes, f"the answers of one drive would exceed {LOAD_LIMIT_PERCENT:.0f} % bus load")
+    seen: dict[int, SyncAnswers] = {}
+    refused: dict[int, str] = {}
+    for first in range(0, len(axes), most):
+        batch = axes[first : first + most]
+        refused |= {number: why for number in batch if (why := _set_period(group.drives[number], period_s))}
+        ready = [number for number in batch if number not in refused]
+        if not ready:
+            continue
+        _nmt(group, NmtCommand.START, ready, 0.1)
+        clock, sent_s = SyncClock(bus, period_s), list[tuple[float, float]]()
+        with RealTime():
+            for _ in range(count):
+                due_s = clock.wait()
+                sent_s.append(_sync(bus))
+                clock.sent(due_s)
+        bus.listen(2.0 * period_s)
+        _nmt(group, NmtCommand.ENTER_PREOPERATIONAL, ready, 0.02)
+        came_s = [times_s[group.drives[number].answers[0][0]] for number in ready]
+        seen |= zip(ready, count_answers(np.array(sent_s), came_s, period_s), strict=True)
+    return seen, refused
 
 
 def _reactions(bus: Bus, drive: Cia402Drive) -> list[tuple[float, float]]:
@@ -219,44 +254,6 @@ def _reactions(bus: Bus, drive: Cia402Drive) -> list[tuple[float, float]]:
         command(DISABLE_VOLTAGE)
         bus.listen(0.005)
     return bounds
-
-
-def _count_pdos(
-    group: DriveGroup, tested: Mapping[int, DriveTestReport], frames: FrameRecord, period_s: float, count: int
-) -> None:
-    """Count missed and delayed TPDOs at one SYNC and interpolation period, for as many drives as the bus takes.
-
-    Only at the period of the cell or a longer one, a share above the limit is a finding.
-    """
-    axes, name, bitrate = list(tested), f"{1000 * period_s:.0f}ms", group.bus.spec.bitrate_bit_s
-    tpdos = max((len(group.drives[number].answers) for number in axes), default=1)
-    most = len(axes)
-    while most and load_percent(cycle_bits_worst([0, *[8] * (tpdos * most)]), period_s, bitrate) > LOAD_LIMIT_PERCENT:
-        most -= 1
-    why = f"the answers of one drive would exceed {LOAD_LIMIT_PERCENT:.0f} % bus load"
-    refused = {} if most else dict.fromkeys(axes, why)
-    seen: dict[int, SyncAnswers] = {}
-    for first in range(0, len(axes) if most else 0, max(most, 1)):
-        batch = axes[first : first + most]
-        refused |= {number: why for number in batch if (why := _set_period(group.drives[number], period_s))}
-        ready = [number for number in batch if number not in refused]
-        if ready:
-            _nmt(group, NmtCommand.START, ready, 0.05)
-            seen |= _answers(group, ready, frames, period_s, count)
-            _nmt(group, NmtCommand.ENTER_PREOPERATIONAL, ready, 0.02)
-    method = f"SYNCs at {1000 * period_s:g} ms that this computer sent on time, axis disabled"
-    delayed = f"{method}; later than {DELAYED_SHARE:g} of the period"
-    missed = [share_figure(f"missed_pdo_{name}", each.missed, each.counted, method) for each in seen.values()]
-    late = [share_figure(f"late_pdo_{name}", each.delayed, each.counted, delayed) for each in seen.values()]
-    for figures in (missed, late):
-        shares = [figure.value or 0.0 for figure in figures]
-        for drive, (number, figure) in enumerate(zip(seen, figures, strict=True)):
-            limit = permitted_share(shares, drive) if period_s >= group.timing.period_s else None
-            advice = "see its cable, the load of the bus, and the inhibit time of its TPDO"
-            add_figure(tested[number], figure, limit, advice)
-    for number, why in refused.items():
-        for kind in ("missed_pdo", "late_pdo"):
-            add_figure(tested[number], TimingFigure.not_measured(f"{kind}_{name}", why))
 
 
 def _set_period(drive: Cia402Drive, period_s: float) -> str:

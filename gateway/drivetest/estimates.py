@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.stats import beta, binom
@@ -67,23 +67,23 @@ def quantile_figure(
     method : str
     """
     if not len(bounds):
-        return TimingFigure.not_measured(name, f"{method}: no sample")
+        return TimingFigure(name, f"{method}: no sample")
     lower, upper = np.sort(np.asarray(bounds, dtype=float), axis=0).T
     tail = (1.0 - CONFIDENCE) / 2.0
     first = max(int(binom.ppf(tail, len(lower), share)) - 1, 0)
     last = min(int(binom.ppf(1.0 - tail, len(lower), share)), len(lower) - 1)
     interval = (max(0.0, float(lower[first]) - resolution), float(upper[last]) + resolution)
-    return TimingFigure(name, float(np.quantile((lower + upper) / 2.0, share)), interval, "s", len(lower), method)
+    return TimingFigure(name, method, float(np.quantile((lower + upper) / 2.0, share)), interval, len(lower))
 
 
 def share_figure(name: str, number: int, count: int, method: str) -> TimingFigure:
     """Return the share of `number` of `count` events, with its interval after Clopper and Pearson."""
     if not count:
-        return TimingFigure.not_measured(name, f"{method}: no SYNC could be counted")
+        return TimingFigure(name, f"{method}: no SYNC could be counted")
     tail = (1.0 - CONFIDENCE) / 2.0
     low = float(beta.ppf(tail, number, count - number + 1)) if number else 0.0
     high = float(beta.ppf(1.0 - tail, number + 1, count - number)) if number < count else 1.0
-    return TimingFigure(name, number / count, (low, high), "1", count, method)
+    return TimingFigure(name, method, number / count, (low, high), count)
 
 
 def permitted_share(shares: Sequence[float], drive: int) -> float:
@@ -100,11 +100,6 @@ def permitted_share(shares: Sequence[float], drive: int) -> float:
     """
     others = [*shares[:drive], *shares[drive + 1 :]]
     return max(LOST_SHARE, median(others)) if len(shares) >= COMPARED else LOST_SHARE
-
-
-def stop_figure(name: str, low: float, high: float, method: str) -> TimingFigure:
-    """Return the figure of a time [s] or an angle [rad] of one stop that is known between two bounds."""
-    return TimingFigure(name, (low + high) / 2.0, (low, high), name.rpartition("_")[2], 1, method)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,8 +162,7 @@ def count_answers(sent_s: np.ndarray, answers_s: Sequence[Sequence[float]], peri
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Standstill:
+class TimeToRest(NamedTuple):
     """Bounds of the time until rest [s], and the travel until then [counts].
 
     Attributes
@@ -189,7 +183,7 @@ class Standstill:
     speed_per_s: float
 
 
-def until_rest(time_s: np.ndarray, count: np.ndarray, begin_s: float) -> Standstill | None:
+def until_rest(time_s: np.ndarray, count: np.ndarray, begin_s: float) -> TimeToRest | None:
     """Return when and where a motor that begins to stop at a time is at rest first; None = it is not.
 
     That is the first instant at which the speed in the direction of the motion is below `REST_SHARE` of the speed at
@@ -221,4 +215,4 @@ def until_rest(time_s: np.ndarray, count: np.ndarray, begin_s: float) -> Standst
     peaks = (travel[:-1] + travel[1:] + fastest * np.diff(time_s[first : last + 2])) / 2.0
     farthest = float(travel.max())
     most = max(farthest, float(peaks[-2:].max())) + farthest * unseen**2
-    return Standstill(low_s, high_s, farthest, most, abs(begin))
+    return TimeToRest(low_s, high_s, farthest, most, abs(begin))

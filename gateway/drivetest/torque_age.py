@@ -106,7 +106,7 @@ def torque_age(samples: np.ndarray, period_s: float) -> TimingFigure:
     time_s, count, torque = samples.T
     window = max(5, 2 * round(_WINDOW_S / period_s / 2.0) + 1)
     if len(time_s) < 6 * window or not np.ptp(count):
-        return TimingFigure.not_measured(NAME, "too few answers in the motion")
+        return TimingFigure(NAME, "too few answers in the motion")
     time_s, smooth = time_s - time_s[0], np.array(savgol_filter(count, window, 3), dtype=float)
     position = make_interp_spline(time_s, smooth / np.ptp(smooth), 5)
     speed, gap_s, delays_s = position(time_s, 1), np.diff(time_s), np.arange(*_DELAYS_S, _GRID_S)
@@ -135,7 +135,7 @@ def torque_age(samples: np.ndarray, period_s: float) -> TimingFigure:
 
     rows = np.flatnonzero(used)
     if not len(rows):
-        return TimingFigure.not_measured(NAME, "the answers have gaps in the whole motion")
+        return TimingFigure(NAME, "the answers have gaps in the whole motion")
     age_s = best(rows)
     for _ in range(_REJECTIONS):  # contact of a cable, a setpoint that came with a delay
         residual = np.abs(fit(rows, age_s)[1])
@@ -144,13 +144,12 @@ def torque_age(samples: np.ndarray, period_s: float) -> TimingFigure:
     torques, residual = fit(rows, age_s)
     follows = float(np.std(torques[:, 0])) > _LEAST_SIGNAL * float(np.std(residual))
     if not follows or not delays_s[1] < age_s < delays_s[-2]:
-        return TimingFigure.not_measured(NAME, "the torque word does not follow the acceleration of this axis enough")
+        return TimingFigure(NAME, "the torque word does not follow the acceleration of this axis enough")
     parts = np.array_split(np.arange(len(time_s)), _PARTS)
     singles = np.array([best(np.setdiff1d(rows, part)) for part in parts])
     std_s = float(np.sqrt((_PARTS - 1) / _PARTS * np.sum((singles - singles.mean()) ** 2)))  # jackknife
     half = float(student.ppf((1.0 + CONFIDENCE) / 2.0, _PARTS - 1)) * std_s
     half += SYSTEMATIC_S + INTERPOLATION_PERIODS * period_s
     if age_s + half < 0.0:
-        why = "the torque word leads the acceleration of this axis: it did not move as commanded"
-        return TimingFigure.not_measured(NAME, why)
-    return TimingFigure(NAME, max(0.0, age_s), (max(0.0, age_s - half), age_s + half), "s", len(time_s), METHOD)
+        return TimingFigure(NAME, "the torque word leads the acceleration of this axis: it did not move as commanded")
+    return TimingFigure(NAME, METHOD, max(0.0, age_s), (max(0.0, age_s - half), age_s + half), len(time_s))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from gateway.cell.plausible import LARGEST_ANGLE_RAD
+from gateway.cell.plausible import BOUNDS, LARGEST_ANGLE_RAD
 from gateway.data.csv_text import text_cells
 from gateway.data.labels import BARE_LABEL, label_refused
 from gateway.data.regular_file import regular_size
@@ -46,6 +46,8 @@ _SPREADS: Final = {"tau{}_nm": "tau{}_std_nm", "taum{}_nm": "taum{}_std_nm", "i{
 #: Speeds are taken from so many rows at least, and not over a step that is so many times as wide as the others.
 _FEWEST_ROWS: Final = 20
 _WIDE: Final = 1.5
+#: Slowest rate of a log of motion, above which the unit of its time is another one [s].
+_SLOWEST_STEP_S: Final = 1.0
 #: Samples lost in a row are interpolated over this share of a period of the cutoff at most.
 _WIDE_PERIODS: Final = 0.25
 #: Stamps beyond half a step from the clock, as a share of all, from which on it is unknown when rows were sampled.
@@ -115,25 +117,36 @@ def preview_of(path: Path, stated: LogMap) -> tuple[list[PreviewColumn], list[st
 
 def _kept_rows(path: Path, stated: LogMap) -> tuple[Log, Floats, NDArray[np.object_], dict[str, Floats]]:
     """Return the rows that the map keeps: log, times, labels, and columns of the table."""
-    log = _opened(path, stated)
+    regular_size(path)
+    if path.suffix.lower() not in SUFFIXES:
+        log = read_text_log(path, stated.log, *stated.needed())
+    elif stated.joints is None:
+        raise InputError(
+            f"{path}: a bag identifies joints by name: write joints = [..] in the map, in the arm's order, or --joints"
+        )
+    else:
+        log = read_bag(path, stated.log.topic, stated.joints)
     _refuse_unit(log, stated.time.column, stated.time.unit)
     stamps = log.times(stated.time.column)
     time_s = log.numbers(stated.time.column) * TIME_UNITS[stated.time.unit] if stamps is None else stamps
+    # two recorders of one topic store each message twice
+    mapped = {source for column in stated.column for source, _, _ in stated.names(column)}.intersection(log.columns)
+    same = [np.diff(time_s) == 0, *(log.columns[name][1:] == log.columns[name][:-1] for name in mapped)]
+    once = np.append(True, ~np.all(same, axis=0))
+    log, time_s = log.take(once), time_s[once]
     back = np.diff(time_s) <= 0
     if back.any():
         row = int(np.argmax(back)) + 1
         what = "goes back" if time_s[row] < time_s[row - 1] else "stands still"
         raise InputError(
             f"{log.where(row)}: {stated.time.column}: time {what}, {time_s[row]:.9g} s after {time_s[row - 1]:.9g} s;"
-            " cut the log there"
+            f" {'cut the log there' if time_s.any() else 'name another column under [time], in a bag log_time'}"
         )
     time_s = time_s - time_s[0] if stated.time.base == "first" else time_s
     rows = stated.rows
-    kept = np.ones(len(time_s), dtype=bool)
-    if rows.from_s is not None:
-        kept &= time_s >= rows.from_s
-    if rows.to_s is not None:
-        kept &= time_s <= rows.to_s
+    begin_s = -np.inf if rows.from_s is None else rows.from_s
+    end_s = np.inf if rows.to_s is None else rows.to_s
+    kept = (time_s >= begin_s) & (time_s <= end_s)
     if rows.column is not None:
         kept[kept] = np.isin(log.take(kept).numbers(rows.column), rows.equals)
     if not kept.any():
@@ -154,31 +167,21 @@ def _kept_rows(path: Path, stated: LogMap) -> tuple[Log, Floats, NDArray[np.obje
             if column.gear_ratio is not None:
                 factor /= _of(column.gear_ratio, axis)
             values = _of(column.sign, axis) * (log.numbers(source) * factor + shift) + _of(column.offset, axis)
-            if kind_of(column.table) == "angle":
-                _refuse_degrees(log, source, target, values)
+            if kind_of(column.table) == "angle" and (far := np.abs(values) > LARGEST_ANGLE_RAD).any():
+                row = int(np.argmax(far))
+                raise InputError(
+                    f"{log.where(row)}: {source} makes {target} = {values[row]:g}, beyond {LARGEST_ANGLE_RAD:.4g} rad:"
+                    " its unit is not that of the map; correct unit in the map"
+                )
             found[target] = values
-    return log, time_s, _labels(log, stated), found
-
-
-def _opened(path: Path, stated: LogMap) -> Log:
-    regular_size(path)
-    if path.suffix.lower() not in SUFFIXES:
-        return read_text_log(path, stated.log, *stated.needed())
-    if stated.joints is None:
-        raise InputError(
-            f"{path}: a bag identifies joints by name: write joints = [..] in the map, in the arm's order, or --joints"
-        )
-    return read_bag(path, stated.log.topic, stated.joints)
-
-
-def _labels(log: Log, stated: LogMap) -> NDArray[np.object_]:
     if stated.load.column is None:
-        return np.full(len(log.line), stated.load.label or BARE_LABEL, dtype=object)
-    labels = log.text(stated.load.column)
-    for row, label in enumerate(labels.tolist()):
-        if wrong := label_refused(str(label)):
-            raise InputError(f"{log.where(row)}: {stated.load.column}: load '{label}' {wrong}")
-    return labels
+        labels = np.full(len(log.line), stated.load.label or BARE_LABEL, dtype=object)
+    else:
+        labels = log.text(stated.load.column)
+        for row, label in enumerate(labels.tolist()):
+            if wrong := label_refused(str(label)):
+                raise InputError(f"{log.where(row)}: {stated.load.column}: load '{label}' {wrong}")
+    return log, time_s, labels, found
 
 
 def _refuse_unit(log: Log, name: str, unit: str) -> None:
@@ -198,16 +201,6 @@ def _of(value: float | tuple[float, ...] | None, axis: int) -> float:
     return float(value[axis]) if isinstance(value, tuple) else float(value if value is not None else np.nan)
 
 
-def _refuse_degrees(log: Log, source: str, target: str, values: Floats) -> None:
-    far = np.abs(values) > LARGEST_ANGLE_RAD
-    if far.any():
-        row = int(np.argmax(far))
-        raise InputError(
-            f"{log.where(row)}: {source} makes {target} = {values[row]:g}, beyond {LARGEST_ANGLE_RAD:.4g} rad: its unit"
-            " is not that of the map; correct unit in the map"
-        )
-
-
 def _joined(values: dict[str, Floats], axes: int, pattern: str = "q{}_rad") -> Floats:
     return np.column_stack([values[pattern.format(axis + 1)] for axis in range(axes)])
 
@@ -221,7 +214,16 @@ def _derived(log: Log, stated: LogMap, time_s: Floats, values: dict[str, Floats]
         raise InputError(
             f"{log.file}: {len(time_s)} rows are too few for the speeds of [motion]: {_FEWEST_ROWS} at least"
         )
-    clock = clock_of(time_s)
+    clock, q_rad = clock_of(time_s), _joined(values, stated.axes)
+    step_s, span_s = float(np.median(np.diff(time_s))), float(time_s[-1] - time_s[0])
+    speed_rad_s = np.abs(np.diff(q_rad, axis=0)).max(axis=1) / np.maximum(np.diff(time_s), step_s)
+    is_slow = step_s > _SLOWEST_STEP_S or span_s * stated.motion.cutoff_hz < 1.0
+    if is_slow or speed_rad_s.max() > BOUNDS["speed of other joints"][0]:
+        raise InputError(
+            f"{log.where(int(np.argmax(speed_rad_s)) + 1)}: {stated.time.column} in {stated.time.unit}: {span_s:.3g} s"
+            f" in steps of {step_s:.3g} s, joint speed up to {speed_rad_s.max():.3g} rad/s: no arm in motion is logged"
+            " so; correct the unit under [time] of the map, or a jump of the position"
+        )
     wide = np.diff(clock.index) * clock.step_s > max(_WIDE * clock.step_s, _WIDE_PERIODS / stated.motion.cutoff_hz)
     if wide.any():
         row = int(np.argmax(wide)) + 1
@@ -230,15 +232,16 @@ def _derived(log: Log, stated: LogMap, time_s: Floats, values: dict[str, Floats]
             f" are {np.median(np.diff(time_s)):.4g} s; [motion] needs even steps: keep a part without gaps by [rows]"
             " of the map"
         )
+    motion = motion_of(time_s, q_rad, stated.motion.cutoff_hz)
     far = np.abs(clock.jitter_s) > 0.5 * clock.step_s
-    if far.mean() > _FAR_SHARE:
+    if far.mean() > _FAR_SHARE and not motion.is_at_stamps:
         row = int(np.argmax(far))
         raise InputError(
             f"{log.where(row)}: time stamps scatter by {clock.jitter_s.std():.2g} s around even steps of"
             f" {clock.step_s:.4g} s: it is unknown when the rows were sampled. Log at a fixed rate, or name another"
             " time column"
         )
-    return motion_of(time_s, _joined(values, stated.axes), stated.motion.cutoff_hz)
+    return motion
 
 
 def _clock_remark(motion: SmoothedMotion) -> str:
@@ -247,7 +250,7 @@ def _clock_remark(motion: SmoothedMotion) -> str:
     jitter_ms = 1e3 * clock.jitter_s
     text = f"time: steps of {1e3 * clock.step_s:.6g} ms, stamps off by {jitter_ms.std():.2g} ms (standard deviation)"
     text += f", {np.abs(jitter_ms).max():.2g} ms at most; {clock.lost} samples lost"
-    if motion.time_s is not clock.time_s and np.abs(jitter_ms).max() > _NOTED_SHARE * 1e3 * clock.step_s:
+    if motion.is_at_stamps and np.abs(jitter_ms).max() > _NOTED_SHARE * 1e3 * clock.step_s:
         return f"{text}; the positions agree with the stamps: speeds are taken at these times"
     return f"{text}; speeds are taken on the even steps"
 

@@ -68,12 +68,16 @@ def clock_of(stamp_s: Floats) -> Clock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedMotion:
-    """Time (n,), speeds and accelerations (n, N) of logged positions, and the fitted clock."""
+    """Time (n,), speeds and accelerations (n, N) of logged positions, and the fitted clock.
+
+    `is_at_stamps`: the positions agree with the stamps, so that these are the times; else those of the clock are.
+    """
 
     time_s: Floats
     qd_rad_s: Floats
     qdd_rad_s2: Floats
     clock: Clock
+    is_at_stamps: bool
 
 
 def motion_of(stamp_s: Floats, q_rad: Floats, cutoff_hz: float) -> SmoothedMotion:
@@ -92,9 +96,9 @@ def motion_of(stamp_s: Floats, q_rad: Floats, cutoff_hz: float) -> SmoothedMotio
     at_clock, at_stamps = (_at(time_s, q_rad, grid_s) for time_s in (clock.time_s, stamp_s))
     if _roughness(at_stamps) < _SMOOTHER * _roughness(at_clock):
         qd, qdd = (_at(grid_s, each, stamp_s) for each in rates(grid_s, at_stamps, cutoff_hz))
-        return SmoothedMotion(stamp_s, qd, qdd, clock)
+        return SmoothedMotion(stamp_s, qd, qdd, clock, True)
     qd, qdd = rates(grid_s, at_clock, cutoff_hz)
-    return SmoothedMotion(clock.time_s, qd[clock.index], qdd[clock.index], clock)
+    return SmoothedMotion(clock.time_s, qd[clock.index], qdd[clock.index], clock, False)
 
 
 def _at(time_s: Floats, values: Floats, wanted_s: Floats) -> Floats:

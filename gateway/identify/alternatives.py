@@ -115,8 +115,9 @@ class LinearisedFit:
         precision -= np.outer(tied, tied) / (1.0 + shared @ tied)
         rows = np.pad(problem.prior_rows, ((0, 0), (0, len(kept) - width)))
         known = problem.prior_target - problem.prior_rows @ fit.common
-        noise, steps = np.ones(len(self.count)), 0
-        while True:
+        noise = left = np.ones(len(self.count))
+        size = scale = step = inverse = np.empty(0)
+        for _ in range(_NOISE_STEPS):
             weight = noise**-2.0
             matrix = np.tensordot(weight, gram, 1) + precision + rows.T @ rows
             scale = np.sqrt(np.diag(matrix))
@@ -130,9 +131,6 @@ class LinearisedFit:
             taken = np.einsum("gij,ij->g", gram, inverse) * weight
             left = np.maximum(left, 0.0)
             noise = noise_std(self.count, taken, left, self.start, self.least)
-            steps += 1
-            if steps == _NOISE_STEPS:
-                break
         away = np.where(held, pull - step, 0.0)
         short = known - rows @ step
         penalty = float(away @ precision @ away) + float(short @ short)

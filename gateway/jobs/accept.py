@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from gateway.acquire.planning import plan_acceptance, workspace_postures
-from gateway.acquire.session import RecordRequest
+from gateway.acquire.session import record
 from gateway.errors import InputError, PlanRefused
 from gateway.identify.workspace_error import error_families
 from gateway.jobs.cell_context import CellContext
 from gateway.jobs.commission import keep_earlier
 from gateway.jobs.frame import Operator, begin_motion
-from gateway.jobs.measure import measure_plan
+from gateway.jobs.measure import continued
 from gateway.model.arm_model import arm_named
+from gateway.model.placeholders import model_remarks
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
 from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
@@ -76,6 +77,8 @@ def accept(
     loaded, config = context.loaded, arm_named(context.loaded, arm)
     request = ModelRequest(cell=context.path, arm=config.name)
     about = collect_inputs(request, data)
+    for remark in model_remarks(about.model):
+        operator.say(remark)
     result = read_result(load_file)
     if result.data is not None and result.data.arm not in (None, config.name):
         raise InputError(f"{load_file}: was measured on arm '{result.data.arm}', and this is arm '{config.name}'")
@@ -85,6 +88,7 @@ def accept(
         raise PlanRefused(f"load '{load.label}': {load.mass_kg:.4g} kg is beyond max_load_kg of {most_kg:.4g} kg")
     workspace, tolerance_nm = workspace_of(config, about.model), parse_tolerance(tolerance, config)
     if not data:
+        earlier = continued(context, recording, True) if resume else None
         refuse_beyond_counts(loaded, config)
         with operator.working("choosing poses and paths"):
             plan, resolution = plan_acceptance(
@@ -102,7 +106,8 @@ def accept(
             options = begin_motion(context, (opened,), options, operator.ask, operator.say, also=also)
             if not resume:
                 keep_earlier(recording, operator.say)
-            measure_plan(opened, plan, RecordRequest(load.label, recording, resume), operator, options)
+            with operator.progress(plan.duration_s / options.override, f"load {load.label}") as listener:
+                record(opened, plan, load.label, recording, earlier, (listener,), options)
         data = (recording,)
         about = collect_inputs(request, data)
     table = read_rows(data, about)

@@ -26,6 +26,7 @@ from gateway.jobs.cell_context import CellContext
 from gateway.jobs.commission import Job, measure
 from gateway.jobs.frame import Operator
 from gateway.model.arm_model import arm_named
+from gateway.model.placeholders import model_remarks
 from gateway.motion.assumed import assumed_noise_nm, reference_load
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
@@ -80,6 +81,8 @@ def calibrate(
     config = arm_named(context.loaded, arm)
     request = ModelRequest(cell=context.path, known={label: known}, arm=arm, is_warm=is_warm, calibrated=False)
     about = collect_inputs(request, data)
+    for remark in model_remarks(about.model):
+        operator.say(remark)
     weight = Weight.of(label, about)
     if not data:
         rated_kg = config.max_load_kg if config.rated_load_kg is None else config.rated_load_kg.value

@@ -10,7 +10,7 @@ from gateway.check.moves import check_moves
 from gateway.check.proofs import keep_proof, proven_on
 from gateway.check.stop import prove_stop
 from gateway.jobs.cell_context import CellContext
-from gateway.jobs.frame import AT_HAND, Operator, begin_motion
+from gateway.jobs.frame import AT_HAND, LITTLE_MOTION, WITHHELD, Operator, begin_motion
 from gateway.model.arm_model import arm_named
 from gateway.motion.stream import MoveOptions
 from gateway.preflight.machine import judge_realtime
@@ -80,9 +80,7 @@ def check_moving(
     path = context.stop_proof(config)
     with context.opened(config) as opened, context.last_seconds(options, opened):
         proves = stop or proven_on(path, opened, options.override) is None
-        what = "will move a little on every joint"
-        if proves:
-            what += ", and the master's heartbeat is stopped on purpose (the resulting drive faults are reset)"
+        what = LITTLE_MOTION + WITHHELD * proves
         if brakes:
             what += ", and each axis in turn is held by its brake alone (its drive takes over if the brake slips)"
         ask, say = operator.ask, operator.say

@@ -17,13 +17,12 @@ import numpy as np
 from gateway.acquire.goto import LOADING, destination, plan_transfer
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.planning import make_plan, postures_to_ask
-from gateway.acquire.session import RecordRequest
+from gateway.acquire.session import record
 from gateway.acquire.thermal import Block, blocks_of, bracket_of, warm_up
 from gateway.acquire.until import decide, record_until, search_of
 from gateway.acquire.until_goal import Goal, end_of
 from gateway.cell.config import ArmConfig
-from gateway.data.recording.reader import read
-from gateway.data.recording.recorded import ArmRecording
+from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.data.visit import RestPose
 from gateway.diagnose import close_loop
@@ -34,7 +33,7 @@ from gateway.identify.prior_loads import BARE_LABEL
 from gateway.jobs import SLOW_PERCENT
 from gateway.jobs.cell_context import CellContext
 from gateway.jobs.frame import Operator, ask_to_move, begin_motion, flange_question
-from gateway.jobs.measure import announce, measure_plan, transfer
+from gateway.jobs.measure import announce, continued, transfer
 from gateway.model.arm_model import arm_robot
 from gateway.model.visits import pair_visits
 from gateway.motion.opening import OpenArm
@@ -182,6 +181,8 @@ def measure(job: Job, operator: Operator) -> None:
 @contextmanager
 def _measuring(job: Job, operator: Operator) -> Generator[_Robot]:
     """Yield the open arm after all loads of a job are recorded."""
+    if job.recording not in job.outdated:
+        continued(job.context, job.recording, resume=True)
     items = job.context.check(job.arm)
     operator.checked(items)
     require_passed(items, "check failed, the arm is not moved")
@@ -248,10 +249,9 @@ class _Robot:
     def _measure_until(self, label: str, goal: Goal) -> None:
         """Have a load mounted and measure until it is known; a known one is only requested if it is the last."""
         opened, job = self._opened, self._job
-        path, model = job.recording, ModelRequest(cell=job.context.path, arm=job.arm.name)
-        search, earlier = search_of(
-            opened.loaded, opened.workspace, opened.config, label, goal, path, model, self.validation_rad
-        )
+        model, apart_rad = ModelRequest(cell=job.context.path, arm=job.arm.name), self.validation_rad
+        path, earlier = job.recording, self._earlier()
+        search = search_of(opened.loaded, opened.workspace, opened.config, label, goal, path, earlier, model, apart_rad)
         missing = decide(search, None, opened.arm.where()).plan is not None
         if missing or label == job.labels[-1]:
             self._go_loading()
@@ -315,9 +315,12 @@ class _Robot:
         )
         return about, read_rows([job.recording], about)
 
+    def _earlier(self, path: Path | None = None) -> Recording | None:
+        return continued(self._job.context, path or self._job.recording, resume=True)
+
     def _stored(self) -> ArmRecording | None:
-        path = self._job.recording
-        return read(path).arm(self._job.arm.name) if path.exists() else None
+        earlier = self._earlier()
+        return None if earlier is None else earlier.arm(self._job.arm.name)
 
     def _missing(self, poses: Sequence[RestPose]) -> bool:
         """Return whether a visit of these poses under the mounted load is missing in the file."""
@@ -334,6 +337,7 @@ class _Robot:
                 "narrow the joint limits, or correct the surroundings of the arm in the cell file"
             )
         check_plan(plan, opened.workspace)
-        request = RecordRequest(self._load, path or self._job.recording, resume=True)
-        measure_plan(opened, plan, request, self._operator, self._job.options)
-        self._job = replace(self._job, options=replace(self._job.options, first_done=None))
+        options, path = self._job.options, path or self._job.recording
+        with self._operator.progress(plan.duration_s / options.override, f"load {self._load}") as listener:
+            record(opened, plan, self._load, path, self._earlier(path), (listener,), options)
+        self._job = replace(self._job, options=replace(options, first_done=None))

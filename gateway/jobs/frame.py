@@ -41,6 +41,9 @@ FIRST_MOTION: Final = (
     " These drives move for the first time, so that this command moves them at {share:.0%} of the speed (not so after"
     " `check --move` with open grippers)."
 )
+#: What the question says that a test does which moves every joint and proves the stop itself.
+LITTLE_MOTION: Final = "will move a little on every joint"
+WITHHELD: Final = ", and the master's heartbeat is stopped on purpose (the resulting drive faults are reset)"
 #: What the question adds before a test that lets drives and brakes stop the arm.
 AT_HAND: Final = " Keep the emergency stop within reach."
 #: Asks a person whether arms may move, and raises where the answer is no. The second argument is called again and again
@@ -93,6 +96,8 @@ class Operator:
 @contextmanager
 def stoppable(override: float = 1.0, *sources: StopSource) -> Generator[MoveOptions]:
     """Yield the options of motions; meanwhile signals stop a motion along its path, and end the job without one.
+
+    A requested stop is kept: motions with the same options end at once. Open it again for the next job.
 
     Parameters
     ----------
@@ -195,6 +200,7 @@ def begin_motion(
     if proof == "stored" and new:  # no short motion tries two arms that hold a part: the whole command is slow
         options = replace(options, override=min(FIRST_SHARE, options.override))
         also = FIRST_MOTION.format(share=options.override) + also
+    options.before_question()
     ask_to_move(context, opened, ask, what, also)
     for each in opened:
         options = with_held_input(each, options)

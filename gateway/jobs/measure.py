@@ -16,7 +16,7 @@ from gateway.acquire.goto import Destination, destination, go, plan_transfer, re
 from gateway.acquire.passes import passes_of
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import asked_by, make_plan, plan_again, plan_asked
-from gateway.acquire.session import RecordingSummary, RecordRequest, plan_of_recording
+from gateway.acquire.session import RecordingSummary, plan_of_recording
 from gateway.acquire.session import record as record_plan
 from gateway.acquire.session import record_moving as record_passes
 from gateway.acquire.until import NextStep, record_until, search_of
@@ -56,14 +56,6 @@ def transfer(
         plan = transfer_from_here(opened, target, plan)
         with operator.progress(plan.duration_s / options.override, "move") as listener:
             go(opened, plan, (listener,), options)
-
-
-def measure_plan(
-    opened: OpenArm, plan: Plan, request: RecordRequest, operator: Operator, options: MoveOptions
-) -> RecordingSummary:
-    """Measure a plan under one load and show the progress; raises as `gateway.acquire.session.record`."""
-    with operator.progress(plan.duration_s / options.override, f"load {request.load}") as listener:
-        return record_plan(opened, plan, request, (listener,), options)
 
 
 def move(
@@ -171,10 +163,10 @@ def record(
     else:
         plan = plan_of_recording(loaded, earlier, config.name)
     operator.planned(config.name, plan)
-    request = RecordRequest(load, recording, resume or bool(numbers), bool(numbers))
     with context.opened(config, trace=trace) as opened:
         options = begin_motion(context, (opened,), options, operator.ask, operator.say, also=flange_question(load))
-        return measure_plan(opened, plan, request, operator, options)
+        with operator.progress(plan.duration_s / options.override, f"load {load}") as listener:
+            return record_plan(opened, plan, load, recording, earlier, (listener,), options, again=bool(numbers))
 
 
 def record_until_known(
@@ -207,9 +199,9 @@ def record_until_known(
         As `search_of`, `begin_motion` and `record_until`.
     """
     config = arm_named(context.loaded, model.arm)
-    continued(context, recording, resume)
+    earlier = continued(context, recording, resume)
     workspace, apart_rad = workspace_of(config, arm_robot(context.loaded, config)), np.empty((0, len(config.axis)))
-    search, earlier = search_of(context.loaded, workspace, config, load, goal, recording, model, apart_rad)
+    search = search_of(context.loaded, workspace, config, load, goal, recording, earlier, model, apart_rad)
     operator.planned(config.name, search)
     with context.opened(config, trace=trace) as opened:
         options = begin_motion(context, (opened,), options, operator.ask, operator.say, also=flange_question(load))
@@ -273,4 +265,4 @@ def record_moving(
     with context.opened(config, trace=trace) as opened:
         options = begin_motion(context, (opened,), options, operator.ask, operator.say, what=what, also=also)
         with operator.progress(sum(one.duration_s for one in passes), f"load {load}") as listener:
-            return record_passes(opened, chosen, RecordRequest(load, recording, resume), (listener,), options)
+            return record_passes(opened, chosen, load, recording, earlier, (listener,), options)

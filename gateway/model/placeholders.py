@@ -20,8 +20,9 @@ _GYRATION: Final = 2.0
 _GYRATION_OF_REACH: Final = 0.1
 
 
-def placeholders(robot: Robot) -> Iterator[str]:
-    """Return one sentence with a corrective action for each kind of placeholder in a robot model."""
+def model_remarks(robot: Robot) -> Iterator[str]:
+    """Return the parts of a robot description that are not used, and a sentence for each kind of placeholder in it."""
+    yield from robot.remarks
     for why, advice in (
         (effort_placeholder(robot), "take torque limits from the data sheet of the gears"),
         (mass_placeholder(robot), "correct the masses, or give --inertials ignore"),

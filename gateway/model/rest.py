@@ -326,6 +326,11 @@ class Model:
             return False
         return self.lossless or not (setting.offset_nm.any() or np.any(setting.coupling != np.eye(self.rows.axes)))
 
+    def mixes(self, setting: AlteredModel) -> bool:
+        """Return whether the reading of an axis depends on the torque of another one, so that axes move one by one."""
+        geared = self.rows.gears.coupling is not None and not self._straight(setting)
+        return geared or bool(np.any(setting.coupling != np.eye(self.rows.axes)))
+
     def _side(self, setting: AlteredModel, torque: Floats, friction: Floats, direction: float) -> Floats:
         gears = self.rows.gears
         motor = gears.before(torque + direction * friction, direction)
@@ -347,15 +352,11 @@ class Model:
             left = left + setting.bias_share * _symmetric_loss(setting) * np.sign(torque)
             return setting.coupling[None] * (setting.gain * left)[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
-        count = self.rows.axes
-        out = np.empty((len(torque), count, count))
-        for axis in range(count):
-            moved = np.zeros(count)
-            moved[axis] = step[axis]
-            above = self.readings(setting, torque + moved, band_nm).sum_nm
-            below = self.readings(setting, torque - moved, band_nm).sum_nm
-            out[:, :, axis] = (above - below) / (2.0 * step[axis])
-        return out
+        mixed, slopes = self.mixes(setting), list[Floats]()
+        for shift in np.diag(step) if mixed else step[None]:
+            above, below = (self.readings(setting, torque + side * shift, band_nm).sum_nm for side in (1.0, -1.0))
+            slopes.append((above - below) / 2.0)
+        return np.stack(slopes, axis=2) / step if mixed else slopes[0][:, :, None] * np.diag(1.0 / step)
 
 
 def _symmetric_loss(setting: AlteredModel) -> Floats:

@@ -60,6 +60,8 @@ class MoveOptions:
     first_done : callable or None
         Set if these drives have not moved yet: the first motion then runs at `FIRST_SHARE` of its speed. Called after
         that motion, when the brakes are on.
+    before_question : callable
+        Called before a person is asked whether arms may move: plan and drives were accepted.
     ready : callable
         Called before the arms are powered; returns when the operator is ready.
     observers : Observers
@@ -69,6 +71,7 @@ class MoveOptions:
     desk: StopDesk = field(default_factory=StopDesk)
     override: float = 1.0
     first_done: Callable[[], None] | None = None
+    before_question: Callable[[], None] = lambda: None
     ready: Callable[[], None] = lambda: None
     observers: Observers = field(default_factory=Observers)
 

@@ -13,7 +13,7 @@ from drives.profile_file import contradictions, find_profile
 from gateway.cell.config import DhTable
 from gateway.errors import ConfigError
 from gateway.model.load_bounds import bounds_of
-from gateway.model.placeholders import placeholders
+from gateway.model.placeholders import model_remarks
 from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf
 from gateway.model.urdf_text import read_urdf
 from gateway.newcell import offers, questions
@@ -95,7 +95,7 @@ def interview(answers: CellAnswers, eyes: Eyes, name: str, report: Callable[[str
     answers.settle([(questions.NAME, Answer(name, "name of the file")), (questions.ROBOT, None), (questions.TIP, last)])
     robot, urdf = _robot(answers, name)
     report(f"{robot.name}: {robot.axes} axes: {', '.join(robot.joint_names)}")
-    for remark in (*robot.remarks, *placeholders(robot)):
+    for remark in model_remarks(robot):
         report(remark)
     answers.settle(
         [

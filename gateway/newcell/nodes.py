@@ -96,11 +96,7 @@ def addresses(profiles: Sequence[DriveProfile]) -> dict[Address, str]:
     """Return the objects to read, with their types: standard objects and those of profiles."""
     found = {OBJECTS[name].address: OBJECTS[name].type for name in STANDARD}
     for profile in profiles:
-        for part in (profile.torque, profile.current, profile.torque_offset):
-            rated = None if part is None else part.rated
-            if rated is not None and rated.object is not None:
-                found[rated.object.index, rated.object.subindex] = rated.object.type
-        found |= {(entry.index, entry.subindex): entry.type for entry in profile.position.count_objects}
+        found |= {(entry.index, entry.subindex): entry.type for entry in profile.constant_objects}
     return found
 
 

@@ -14,7 +14,7 @@ from drives.ledger import KnownDevice, WriteLedger
 from drives.nodes import Nodes
 from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plans, tpdo_plans
-from drives.profile import DriveProfile, ObjectReference
+from drives.profile import DriveProfile
 from drives.sdo import SdoClient
 from drives.values import Identity
 from gateway.cell.config import ArmConfig, BusConfig
@@ -82,10 +82,8 @@ def addresses(profile: DriveProfile) -> dict[Address, str]:
 
 def _references(profile: DriveProfile) -> dict[Address, str]:
     """Return the objects that the profile names, with their types."""
-    references: list[ObjectReference] = [profile.torque.object]
-    rated = [signal.rated for signal in (profile.torque, profile.current) if signal is not None]
-    references += [each.object for each in rated if each is not None and each.object is not None]
-    references += [*profile.position.count_objects, *(condition.object for condition in profile.conditions)]
+    conditions = [condition.object for condition in profile.conditions]
+    references = (profile.torque.object, *profile.constant_objects, *conditions)
     return {(reference.index, reference.subindex): reference.type for reference in references}
 
 

@@ -20,12 +20,10 @@ SHOWN: Final[dict[str, tuple[str, float, str]]] = {
     "quick_stop_time_s": ("Quick stop, time", 1e3, "ms"),
     "quick_stop_angle_rad": ("Quick stop, angle", 1e3, "mrad"),
     "fault_reaction_time_s": ("Fault reaction to standstill", 1e3, "ms"),
-    "missed_pdo_2ms": ("Missed TPDOs at 2 ms", 1e2, "%"),
-    "late_pdo_2ms": ("Delayed TPDOs at 2 ms", 1e2, "%"),
-    "missed_pdo_4ms": ("Missed TPDOs at 4 ms", 1e2, "%"),
-    "late_pdo_4ms": ("Delayed TPDOs at 4 ms", 1e2, "%"),
-    "missed_pdo_10ms": ("Missed TPDOs at 10 ms", 1e2, "%"),
-    "late_pdo_10ms": ("Delayed TPDOs at 10 ms", 1e2, "%"),
+} | {
+    f"{kind}_pdo_{period_ms}ms": (f"{text} TPDOs at {period_ms} ms", 1e2, "%")
+    for period_ms in (2, 4, 10)
+    for kind, text in (("missed", "Missed"), ("late", "Delayed"))
 }
 
 
@@ -35,17 +33,15 @@ def render_drive_test(cell: str, created: str, reports: Sequence[DriveTestReport
     measured = [report for report in reports if any(figure.value is not None for figure in report.figures)]
     good = f"{len(measured)} of {len(reports)} drives tested, nothing found"
     names = ", ".join(report.axis for report in failed)
-    rows: list[list[str]] = []
-    methods: list[tuple[str, str]] = []
+    rows, methods = list[list[str]](), list[tuple[str, str]]()
     for name, (text, _, unit) in SHOWN.items():
-        figures = {report.axis: report.figure(name) for report in reports}
-        if not any(figures.values()):
-            continue
-        rows.append([f"{text} [{unit}]", *map(figure_text, figures.values())])
         axes: dict[str, list[str]] = {}
-        for axis, figure in figures.items():
-            if figure is not None:
-                axes.setdefault(figure.method, []).append(axis)
+        for report in reports:
+            if figure := report.figure(name):
+                axes.setdefault(figure.method, []).append(report.axis)
+        if not axes:
+            continue
+        rows.append([f"{text} [{unit}]", *(figure_text(report.figure(name)) for report in reports)])
         methods += [(text, method if len(axes) == 1 else f"{', '.join(who)}: {method}") for method, who in axes.items()]
     return page(
         "drive_test.html.j2",
@@ -70,11 +66,7 @@ def figure_text(figure: TimingFigure | None) -> str:
 
 
 def _identity(report: DriveTestReport) -> tuple[str, ...]:
-    def code(key: str) -> str:
-        value = report.identity.get(key)
-        return "\N{EN DASH}" if value is None else f"0x{value:X}"
-
-    numbers = [code(key) for key in ("vendor", "product", "revision")]
-    serial, firmware = report.identity.get("serial"), report.identity.get("firmware")
-    texts = ["\N{EN DASH}" if each is None else str(each) for each in (serial, firmware)]
-    return (report.axis, str(report.node), *numbers, *texts)
+    forms = {"vendor": "0x{:X}", "product": "0x{:X}", "revision": "0x{:X}", "serial": "{}", "firmware": "{}"}
+    values = [(form, report.identity.get(key)) for key, form in forms.items()]
+    texts = ["\N{EN DASH}" if value is None else form.format(value) for form, value in values]
+    return (report.axis, str(report.node), *texts)

@@ -22,28 +22,24 @@ class TimingFigure:
     ----------
     name : str
         Its last part is the unit of a time or angle.
+    method : str
+        What was done, and what limits the interval; why the quantity was not measured.
     value : float or None
-        None where it was not measured; `method` then states why.
+        None where it was not measured.
     interval : (float, float) or None
         95 %: statistics of the samples, resolution of the time stamps and latency of the master.
-    unit : str
     samples : int
-    method : str
-        What was done, and what limits the interval.
     """
 
     name: str
-    value: float | None
-    interval: tuple[float, float] | None
-    unit: str
-    samples: int
     method: str
+    value: float | None = None
+    interval: tuple[float, float] | None = None
+    samples: int = 0
 
-    @classmethod
-    def not_measured(cls, name: str, why: str) -> TimingFigure:
-        """Return a figure without a value."""
-        unit = "1" if "_pdo_" in name else name.rpartition("_")[2]
-        return cls(name, None, None, unit, 0, why)
+    def as_json(self) -> dict[str, Any]:
+        """Return the figure with its unit as plain values."""
+        return asdict(self) | {"unit": "1" if "_pdo_" in self.name else self.name.rpartition("_")[2]}
 
 
 @dataclass(slots=True, eq=False)
@@ -62,5 +58,6 @@ class DriveTestReport:
 
     def write(self, folder: Path) -> None:
         """Write the report to its file in a folder."""
-        body = {"format": FORMAT, "version": VERSION} | asdict(self)
+        figures = [figure.as_json() for figure in self.figures]
+        body = {"format": FORMAT, "version": VERSION} | asdict(self) | {"figures": figures}
         replace_file(folder / f"{self.axis}.json", json.dumps(body, indent=1) + "\n")

@@ -76,8 +76,8 @@ class LoadResult:
     per_pose_mass_kg: Mapping[str, Number] = field(default_factory=dict)
     budget: Mapping[str, Number] = field(default_factory=dict, metadata=SILENT)
     common_errors: Mapping[str, Matrix] = field(default_factory=dict, metadata=SILENT)
-    inertia_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
-    inertia_std_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
+    inertia_kg_m2: Numbers | None = None
+    inertia_std_kg_m2: Numbers | None = None
     inertia_flange_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
     refused: str | None = field(default=None, metadata=SILENT)
 

@@ -141,7 +141,7 @@ def json_object(text: str, where: str) -> dict[str, Any]:
     try:
         data = json.loads(text)
     except json.JSONDecodeError as error:
-        raise InputError(f"{where}:{error.lineno}: not valid JSON: {error.msg}") from error
+        raise InputError(f"{where}:{error.lineno}: not valid JSON: {error.msg}; name a JSON file") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{where}: contains a number or a nesting that is too large: {error}") from error
     if not isinstance(data, dict):

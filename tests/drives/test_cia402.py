@@ -125,7 +125,6 @@ USERS = {
     "drives/exchange.py": {"ENABLE_OPERATION"},  # whether an axis is under power, and moves
     "drives/group.py": {"ENABLE_OPERATION"},  # keeps the state in a motion
     "gateway/drivetest/answers.py": {"DISABLE_VOLTAGE", "SHUTDOWN"},  # to disabled axes, whose answers are timed
-    "gateway/drivetest/run.py": {"QUICK_STOP"},  # recognised in recorded frames
 }
 WORDS = {
     *("DISABLE_VOLTAGE", "QUICK_STOP", "SHUTDOWN", "SWITCH_ON", "DISABLE_OPERATION", "ENABLE_OPERATION"),

@@ -100,6 +100,7 @@ def test_a_process_of_its_own_has_the_noise_of_the_stated_seed(channel):
         ([str(SMALL), "--undeclared", "{bad}"], "unknown effect"),
         ([str(SMALL), "--fault", "{bad}"], "may only contain [[fault]] tables"),
         ([str(SMALL), "--bus", "nonsense"], "INTERFACE:CHANNEL"),
+        ([str(SMALL), "--posture", "0,0,0,0,0,9"], "one angle a joint"),
     ],
 )
 def test_bad_files_end_in_exit_3_and_one_paragraph(words, message, tmp_path):
@@ -333,8 +334,11 @@ def test_delayed_setpoints_change_the_delay_of_a_drive_for_a_moment_only(delay_s
     assert behind / step == pytest.approx(1.5, abs=0.05)
 
 
-def test_pacing_of_the_command_line_is_that_of_every_bus(channel):
-    simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
+def test_pacing_of_the_command_line_is_that_of_every_bus_and_its_posture_that_of_the_arm(channel):
+    posture = [0.3, -0.2, 0.4, 0.1, 0.5, -0.6]
+    text = ",".join(map(str, posture))
+    simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real", posture=text))
+    assert simulation.arms[0].world.q_rad == pytest.approx(posture)
     simulation.servers[0].bus.shutdown()
     simulation.close()
     assert {bus.pacing for bus in simulation.cell.buses.values()} == {"real"}

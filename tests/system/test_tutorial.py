@@ -20,6 +20,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway.jobs.rehearse import rehearse
 from sim.cellfile import read_payloads
 from sim.serve import free_bus, wait_until_ready
 from tests.support.rigs.pacing import measured_shortly
@@ -123,8 +124,20 @@ def test_before_the_robot_as_typed(tmp_path, monkeypatch):
     assert typed == ["plan", "rehearse", "plan"]
     out = tmp_path / "out" / "before"
     body = json.loads((out / "rehearsal.json").read_text(encoding="utf-8"))
-    assert {entry["name"] for entry in body["effects"]} == {"base_tilt", "payload_shift"}
-    assert len(body["runs"]) == 4 + 2 * 9
+    (tilt,) = body["effects"]
+    assert tilt["name"] == "base_tilt"
+    assert tilt["recovered"]
+    assert 1.0 < tilt["detection_strength"] < 40.0
+    assert len(body["runs"]) == 2 + 9
+    assert (out / "rehearsal.html").read_text(encoding="utf-8").count("<circle") == 9
+    assert body["load"]["as_stated"]["inside"] >= 6
+    assert body["load"]["calibrated"]["mass_std_share"] < body["load"]["as_stated"]["mass_std_share"]
+    told: list[tuple[int, int]] = []
+    earlier = body | {"runs": [run for run in body["runs"] if run["seed"] != 1]}
+    asked = {"plan_file": out / "plan.json", "effects": {"base_tilt"}, "clean_arms": 2, "earlier": earlier}
+    again = rehearse(out / "cell.toml", **asked, done=lambda _body, places, total: told.append((places, total)))
+    assert told == [(3, 3)]
+    assert sorted(again["runs"], key=lambda run: run["seed"]) == sorted(body["runs"], key=lambda run: run["seed"])
     plans = [json.loads((out / name).read_text(encoding="utf-8")) for name in ("plan.json", "plan-2.json")]
     assert len(plans[0]["poses"]) == len(plans[1]["poses"])
     assert body["time_under_power_s"] == pytest.approx(2.0 * plans[0]["duration_s"])

@@ -20,7 +20,7 @@ from drives.discovery import probe
 from drives.errors import ForeignMaster
 from drives.group import DriveGroup, GroupOptions
 from gateway.acquire.planning import plan_of_poses
-from gateway.acquire.session import RecordRequest, record
+from gateway.acquire.session import record
 from gateway.data.recording.reader import read
 from gateway.motion import opening
 from gateway.motion.opening import axis_setups, open_arm
@@ -76,7 +76,7 @@ def test_bring_up_and_a_short_recording(
     path = tmp_path / "run.h5"
     with open_arm(served.loaded, spec, ledger=tmp_path / "ledger.json") as opened:
         plan = plan_of_poses(opened.loaded, opened.config, opened.workspace, poses(2))
-        summary = record(opened, plan, RecordRequest("none", path))
+        summary = record(opened, plan, "none", path)
     assert summary.visits == 4
     assert summary.statistics["incomplete"] == 0
     visits = read(path).arms[0].visits

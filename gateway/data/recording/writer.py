@@ -356,6 +356,7 @@ def sole_writer(path: Path, patience_s: float) -> Generator[None]:
     mark = path.with_name(path.name + ".lock")
     until_s = time.monotonic() + patience_s
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         while (descriptor := _taken(mark)) is None:
             if time.monotonic() >= until_s:
                 raise InputError(f"{path}: another run is writing it; wait for its end, or choose another name")

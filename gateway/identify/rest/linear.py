@@ -388,7 +388,7 @@ def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, l
     # Derivatives by bands and by each kind of nuisance parameters; the gains are the second entry
     model, axes = problem.model, problem.axes
     base = model.readings(setting, torque, band)
-    coupled = axes > 1 and bool(np.any(setting.coupling != np.eye(axes)))
+    coupled = axes > 1 and model.mixes(setting)
     slopes = []
     for place, kind in enumerate((None, *NUISANCE_KINDS)):
         step = _STEP * (1.0 + np.abs(band)) if kind is None or kind.name == "bias" else np.full(axes, _STEP)

@@ -6,7 +6,7 @@ import pytest
 
 from tests.support.pages.browser import MISSING, available
 from tests.support.pages.faults import FAULTS, faults_of
-from tests.support.pages.samples import pages
+from tests.support.pages.samples import PAGES
 
 pytestmark = pytest.mark.skipif(not available(), reason=MISSING)
 BOX = "position:absolute;top:50px"
@@ -39,5 +39,5 @@ def test_what_is_broken_is_found_and_nothing_else(window, tmp_path, body, kinds)
 @pytest.mark.parametrize("name", ["result", "pair", "stop"])
 def test_a_page_is_whole_on_every_screen_and_on_paper(window, tmp_path, name):
     file = tmp_path / f"{name}.html"
-    file.write_text(dict(pages([]))[name], encoding="utf-8")
+    file.write_text(PAGES[name](), encoding="utf-8")
     assert faults_of(window, file) == []

@@ -11,7 +11,7 @@ from drives.bus import BusSpec
 from drives.errors import NodeMissing, SeveralFailures
 from gateway.acquire.events import PoseDone, Progress, VisitDone
 from gateway.acquire.planning import make_plan
-from gateway.acquire.session import RecordRequest, plan_of_recording, record
+from gateway.acquire.session import plan_of_recording, record
 from gateway.data.recording.reader import read
 from gateway.errors import InputError
 from gateway.model.arm_model import robot_text
@@ -58,9 +58,9 @@ def recorded(simulation, small_cell, plan, tmp_path_factory):
 
     with open_arm(small_cell, override(simulation)) as opened:
         with pytest.raises(KeyboardInterrupt):
-            record(opened, plan, RecordRequest("none", path), (break_after_first_pose,))
+            record(opened, plan, "none", path, None, (break_after_first_pose,))
         broken = read(path)
-        summary = record(opened, plan, RecordRequest("none", path, resume=True), (events.append,))
+        summary = record(opened, plan, "none", path, broken, (events.append,))
         energised = any(axis.free for arm in simulation.simulation.arms for axis in arm.world.axes)
     return path, events, summary, broken, energised
 
@@ -124,14 +124,14 @@ def _without_arms(recording) -> dict:
 def test_other_poses_under_the_same_numbers_are_refused(recorded, simulation, small_cell):
     other = make_plan(small_cell, n_poses=2, seed=99)
     with open_arm(small_cell, override(simulation)) as opened, pytest.raises(InputError, match="another posture"):
-        record(opened, other, RecordRequest("none", recorded[0], resume=True))
+        record(opened, other, "none", recorded[0], read(recorded[0]))
 
 
 def test_an_existing_file_is_refused_before_anything_moves(recorded, simulation, small_cell, plan):
     with open_arm(small_cell, override(simulation)) as opened:
         syncs = opened.group.sync_index
         with pytest.raises(InputError, match="--resume"):
-            record(opened, plan, RecordRequest("none", recorded[0]))
+            record(opened, plan, "none", recorded[0])
         assert opened.group.sync_index == syncs
 
 
@@ -140,7 +140,7 @@ def test_a_whole_file_is_gone_on_with_without_power(recorded, simulation, small_
     visits = len(read(recorded[0]).arms[0].visits)
     with open_arm(small_cell, override(simulation)) as opened:
         syncs = opened.group.sync_index
-        summary = record(opened, plan, RecordRequest("none", recorded[0], resume=True))
+        summary = record(opened, plan, "none", recorded[0], read(recorded[0]))
         assert opened.group.sync_index == syncs
     recording = read(recorded[0])
     assert (summary.visits, summary.skipped) == (0, 4)

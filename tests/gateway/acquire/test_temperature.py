@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from drives.bus import BusSpec
 from gateway.acquire.planning import make_plan
-from gateway.acquire.session import RecordRequest, record
+from gateway.acquire.session import record
 from gateway.cell.config import load_cell, with_pacing
 from gateway.cli import main
 from gateway.data.recording.reader import read
@@ -57,9 +57,9 @@ def test_the_recording_holds_the_temperature_of_the_drives(cell, tmp_path):
         world.plant = replace(world.plant, temperature_c=lambda time_s: 20.0 + 0.5 * time_s + np.arange(6.0))
         begun_s = world.time_s
         with open_arm(loaded, BusSpec.parse(simulation.bus)) as opened:
-            record(opened, plan, RecordRequest("none", tmp_path / "run.h5"))
+            record(opened, plan, "none", tmp_path / "run.h5")
             simulation.mount("load")
-            record(opened, plan, RecordRequest("load", tmp_path / "run.h5", resume=True))
+            record(opened, plan, "load", tmp_path / "run.h5", read(tmp_path / "run.h5"))
         truth["least"], truth["most"] = 20.0 + 0.5 * begun_s, 20.0 + 0.5 * world.time_s
     arm = read(tmp_path / "run.h5").arms[0]
     found = np.array([visit.temperature_c for visit in arm.visits])

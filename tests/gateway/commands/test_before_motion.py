@@ -24,52 +24,42 @@ def place(tmp_path, monkeypatch):
     monkeypatch.setattr("drives.bus.open_bus", opened)
     monkeypatch.setattr("gateway.motion.opening.open_arm", opened)
     monkeypatch.setattr("gateway.jobs.cell_context.open_arm", opened)
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "cell.toml").write_text(SMALL.read_text(encoding="utf-8"), encoding="utf-8")
     (tmp_path / "robot.urdf").write_text((SMALL.parent / "robot.urdf").read_text(encoding="utf-8"), encoding="utf-8")
     return tmp_path
 
 
-def run(place, *words):
-    return CliRunner().invoke(main, [str(word) for word in words], input="")
+def run(words):
+    return CliRunner().invoke(main, f"{words} --bus virtual:empty".split(), input="")
 
 
-MOVING = ("--load", "none", "--yes", "--bus", "virtual:empty")
-
-
-@pytest.mark.parametrize(
-    ("option", "output"),
-    [("-o", "file/run.h5"), ("-o", "/proc/run.h5"), ("--trace", "file/frames.log"), ("--json", "file/r.json")],
-)
-def test_a_place_that_cannot_be_written_is_refused(place, option, output):
-    (place / "file").write_text("no folder", encoding="utf-8")
-    words = ["record", place / "cell.toml", *MOVING]
-    words += [] if option == "-o" else ["-o", place / "run.h5"]
-    done = run(place, *words, option, output if output.startswith("/") else place / output)
-    assert done.exit_code == 3, done.output
-    assert option in done.stderr
-    assert "a bus was opened" not in done.output
-
-
-@pytest.mark.parametrize("more", [(), ("--moving",), ("--until", "mass=1%"), ("--pose", "1")])
+@pytest.mark.parametrize("more", ["", "--moving", "--until mass=1%", "--pose 1", None])
 def test_a_recording_of_another_cell_is_refused_before_anything_moves(place, more):
-    path = recording(place, "run.h5")
-    text = (place / "cell.toml").read_text(encoding="utf-8")
-    (place / "cell.toml").write_text(text.replace("speed_limit_rad_s = 0.8", "speed_limit_rad_s = 0.7", 1))
-    done = run(place, "record", place / "cell.toml", *MOVING, "-o", path, "--resume", *more)
+    recording(place, "run.h5")
+    (place / "cell.toml").write_text((place / "cell.toml").read_text() + "# edited\n")
+    command = "commission cell.toml --out ." if more is None else f"record cell.toml --load none -o run.h5 {more}"
+    done = run(f"{command} --resume --yes")
     assert done.exit_code == 3, done.output
     assert "run.h5 was recorded with another cell file" in done.stderr
 
 
-def test_a_commissioning_that_is_gone_on_with_under_another_cell_is_refused(place):
-    recording(place, "run.h5")
-    (place / "cell.toml").write_text((place / "cell.toml").read_text() + "# edited\n")
-    done = run(place, "commission", place / "cell.toml", "--out", place, "--resume", "--bus", "virtual:empty")
-    assert done.exit_code == 3, done.output
-    assert "another cell file" in done.stderr
-
-
-def test_nothing_is_left_behind_by_looking(place):
+@pytest.mark.parametrize(
+    ("code", "command", "says"),
+    [
+        (3, "record cell.toml --load none -o /proc/run.h5", "-o"),
+        (3, "record cell.toml --load none -o new/run.h5 --trace cell.toml/frames.log", "--trace"),
+        (3, "record cell.toml --load none -o new/run.h5 --json cell.toml/r.json", "--json"),
+        (2, "record cell.toml --load none -o new/run.h5 --pose 0.1", "--pose"),
+        (5, "move cell.toml --to 9,9,9,9,9,9", "joint 1"),
+        (5, "calibrate cell.toml --known load=12 --out new", "--known"),
+        (3, "accept cell.toml --load cell.toml --out new", "cell.toml"),
+    ],
+)
+def test_a_refusal_opens_no_bus_leaves_no_file_and_shows_no_page(place, code, command, says):
     before = sorted(place.rglob("*"))
-    done = run(place, "record", place / "cell.toml", *MOVING, "-o", place / "new" / "run.h5", "--pose", "0.1")
-    assert done.exit_code == 2
+    done = run(f"{command} --yes --live")
+    assert done.exit_code == code, done.output
+    assert says in done.stderr
+    assert "live page" not in done.stderr
     assert sorted(place.rglob("*")) == before

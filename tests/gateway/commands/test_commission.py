@@ -82,7 +82,7 @@ def robot(small_cell, workspace, arm, tmp_path, monkeypatch):
             ask=person.ask, mount=lambda label, _opened: person.done.append(f"mount {label}"), say=person.say
         )
         monkeypatch.setattr("gateway.jobs.measure.go", person.go)
-        monkeypatch.setattr("gateway.jobs.measure.record_plan", lambda *_arguments: person.done.append("measure"))
+        monkeypatch.setattr("gateway.jobs.commission.record", lambda *_arguments: person.done.append("measure"))
         job = Job(person, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), warm_up_s=warm_up_s)
         plan: Any = SimpleNamespace(poses=(POSE,), settings=VisitSettings(0.03, 0.05, 2.0, 40, 0.01))
         return _Robot(job, operator, opened, plan), person
@@ -128,7 +128,7 @@ def test_forth_and_back_a_person_changes_the_load_only_where_it_changes(robot):
 
 def test_a_resumed_job_asks_which_load_is_mounted(robot, tmp_path, monkeypatch):
     (tmp_path / "run.h5").touch()
-    monkeypatch.setattr(_Robot, "_stored", lambda _self: None)
+    monkeypatch.setattr(_Robot, "_earlier", lambda *_: None)
     made, person = robot(None, warm_up_s=0.0)
     made.measure_load(Block("none", (POSE,)))
     assert person.done == ["mount none", "measure"]

@@ -131,23 +131,20 @@ def test_what_other_drives_lose_as_well_is_permitted():
 )
 def test_only_a_figure_whose_whole_interval_is_beyond_a_limit_is_a_finding(name, low, high, limit, text):
     report = DriveTestReport("J2", 2, {})
-    figure = TimingFigure(name, (low + high) / 2, (low, high), "s", 10, "drawn")
+    figure = TimingFigure(name, "drawn", (low + high) / 2, (low, high), 10)
     estimates.add_figure(report, figure, limit, "repair it")
     assert report.figures == [figure]
     assert report.findings == ([] if text is None else [f"{text} is allowed; repair it"])
 
 
 def test_the_page_shows_what_was_not_measured_and_what_failed():
-    figures = [
-        TimingFigure("quick_stop_time_s", 0.02, (0.01, 0.03), "s", 1, "ramp"),
-        TimingFigure.not_measured("torque_age_s", "not moved"),
-    ]
-    report = DriveTestReport("J2", 2, {"vendor": 1}, figures, ["EMCY: no <message>"])
+    stop = TimingFigure("quick_stop_time_s", "ramp", 0.02, (0.01, 0.03), 1)
+    age = TimingFigure("torque_age_s", "not moved")
+    report = DriveTestReport("J2", 2, {"vendor": 1}, [stop, age], ["EMCY: no <message>"])
     html = render_drive_test("cell", "2026", [report])
     assert "1 of 1 drives with findings: J2" in html
     assert "no &lt;message&gt;" in html
     assert "20 [10, 30]" in html
     assert "not moved" in html
-    assert 'class="verdict open"' in render_drive_test("cell", "2026", [DriveTestReport("J1", 1, {}, [], [])]), (
-        "ended early"
-    )
+    ended_early = render_drive_test("cell", "2026", [DriveTestReport("J1", 1, {}, [], [])])
+    assert 'class="verdict open"' in ended_early

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
@@ -77,19 +76,22 @@ def test_the_clock_is_found_with_its_lost_samples(scatter):
     assert clock.jitter_s.std() == pytest.approx(scatter * 0.00801 / np.sqrt(3), rel=0.03, abs=1e-12)
 
 
+def _import(folder: Path, time_s, q_rad, tau_nm, cutoff_hz: float = 10):
+    """Import of a log with these times, positions and torques of load a."""
+    rows = [["t", "load", *(f"{kind}{axis}" for kind in "qm" for axis in range(1, 7))]]
+    rows += [[t, "a", *q, *tau] for t, q, tau in zip(time_s.tolist(), q_rad.tolist(), tau_nm.tolist(), strict=True)]
+    (folder / "log.csv").write_text("\n".join(",".join(map(str, row)) for row in rows))
+    (folder / "map.toml").write_text(MAP.replace("cutoff_hz = 10", f"cutoff_hz = {cutoff_hz}"))
+    words = ["import", folder / "log.csv", "--map", folder / "map.toml", "-o", folder / "table.csv"]
+    return CliRunner().invoke(main, list(map(str, words)))
+
+
 def _imported(folder: Path, scatter_s: float, seed: int = 4) -> tuple[Path, str]:
     """Table of a run with the load, whose time stamps scatter, and what the import says."""
     rng = np.random.default_rng(seed)
-    with (folder / "log.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["t", "load", *(f"{kind}{axis}" for kind in "qm" for axis in range(1, 7))])
-        table = measured([seed, 1], World(payload=LOAD), 20.0, 1 / STEP_S, arm_seed=seed)[0]
-        stamps = np.arange(len(table.time_s)) * STEP_S + rng.uniform(-scatter_s, scatter_s, len(table.time_s))
-        rows = zip(stamps, table.q_rad, table.tau_nm, strict=True)
-        writer.writerows([repr(float(at)), "a", *map(float, q), *map(float, tau)] for at, q, tau in rows)
-    (folder / "map.toml").write_text(MAP)
-    words = ["import", folder / "log.csv", "--map", folder / "map.toml", "-o", folder / "table.csv"]
-    done = CliRunner().invoke(main, list(map(str, words)))
+    table = measured([seed, 1], World(payload=LOAD), 20.0, 1 / STEP_S, arm_seed=seed)[0]
+    stamps = np.arange(len(table.time_s)) * STEP_S + rng.uniform(-scatter_s, scatter_s, len(table.time_s))
+    done = _import(folder, stamps, table.q_rad, table.tau_nm)
     assert done.exit_code == 0, done.output
     return folder / "table.csv", " ".join(done.stderr.split())
 
@@ -117,16 +119,23 @@ def test_the_load_from_a_log_whose_stamps_scatter(tmp_path):
         assert (np.abs(found - even) < 0.2 * std).all(), (found, even, std)
 
 
-def test_stamps_that_say_nothing_about_the_sampling_are_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("kind", "code", "says"),
+    [
+        ("noise", 3, "Log at a fixed rate"),
+        ("motion", 0, "the positions agree with the stamps"),
+        ("recorded twice", 0, "800 rows"),
+        ("in ms", 3, "correct the unit under [time]"),
+        ("in ks", 3, "correct the unit under [time]"),
+        ("without time", 3, "name another column under [time]"),
+    ],
+)
+def test_uneven_stamps_are_used_where_the_positions_agree_with_them(tmp_path, kind, code, says):
     rng = np.random.default_rng(1)
-    at = np.cumsum(rng.exponential(STEP_S, 500))
-    header = ["t", "load", *(f"{kind}{axis}" for kind in "qm" for axis in range(1, 7))]
-    rows = [[repr(float(t)), "a", *map(str, rng.normal(0, 1, 12))] for t in at]
-    (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in [header, *rows]))
-    (tmp_path / "map.toml").write_text(MAP.replace("cutoff_hz = 10", "cutoff_hz = 1"))
-    words = ["import", tmp_path / "log.csv", "--map", tmp_path / "map.toml", "-o", tmp_path / "table.csv"]
-    done = CliRunner().invoke(main, list(map(str, words)))
-    assert done.exit_code == 3
-    said = " ".join(done.stderr.split())
-    assert "time stamps scatter by" in said
-    assert "Log at a fixed rate" in said
+    at_s = np.cumsum(rng.choice([0.010, 0.011, 0.012], 800))
+    q_rad = rng.normal(0, 0.02, (800, 6)) if kind == "noise" else np.tile(positions(at_s), 3)
+    factor = {"in ms": 1e3, "in ks": 1e-3, "without time": 0.0}.get(kind, 1.0)
+    rows = np.repeat(np.arange(800), 1 + (kind == "recorded twice"))
+    done = _import(tmp_path, factor * at_s[rows], q_rad[rows], np.ones((len(rows), 6)), 5)
+    assert done.exit_code == code, done.output
+    assert says in " ".join(done.output.split())

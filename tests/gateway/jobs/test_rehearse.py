@@ -14,8 +14,7 @@ from click.testing import CliRunner
 from gateway.cli import main
 from gateway.errors import ConfigError, InputError
 from gateway.jobs.rehearse import detection, rehearse, summary
-from gateway.report.rehearsal_page import render_rehearsal
-from gateway.result.origin import Origin, sealed
+from gateway.result.origin import sealed
 
 SMALL = Path(__file__).parents[3] / "examples" / "small"
 
@@ -133,27 +132,3 @@ def test_another_plan_is_not_continued(tmp_path: Path) -> None:
 def test_simulator_that_refuses_is_named() -> None:
     with pytest.raises(ConfigError, match="simulator"):
         rehearse(SMALL.parent / "bench" / "cell.toml", effects={"base_tilt"})
-
-
-@pytest.mark.slow
-def test_small_rehearsal_names_a_tilt_and_continues_without_measuring_again() -> None:
-    told: list[tuple[int, int]] = []
-
-    def done(_body: Any, places: int, total: int) -> None:
-        told.append((places, total))
-
-    body = rehearse(SMALL / "cell.toml", effects={"base_tilt"}, clean_arms=2, done=done)
-    assert told == [(1, 3), (2, 3), (3, 3)]
-    (tilt,) = body["effects"]
-    assert tilt["named"] >= 1
-    assert tilt["recovered"]
-    assert 1.0 < tilt["detection_strength"] < 40.0
-    assert len(body["runs"]) == 2 + 9
-    assert body["load"]["as_stated"]["inside"] >= 6
-    assert body["load"]["calibrated"]["mass_std_share"] < body["load"]["as_stated"]["mass_std_share"]
-    page = render_rehearsal(body, Origin("2030-01-01 00:00 UTC", "servo-gateway"))
-    assert page.count("<circle") == 9
-    told.clear()
-    again = rehearse(SMALL / "cell.toml", effects={"base_tilt"}, clean_arms=2, earlier=body, done=done)
-    assert told == []
-    assert again == body

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from gateway.model.placeholders import placeholders
+from gateway.model.placeholders import model_remarks
 from gateway.model.robot import Robot, robot_from_urdf
 from tests.data.arms import urdf_of
 
@@ -23,7 +23,7 @@ def stated() -> str:
 
 
 def test_a_stated_model_holds_no_placeholder():
-    assert list(placeholders(robot_of(stated()))) == []
+    assert list(model_remarks(robot_of(stated()))) == []
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_a_stated_model_holds_no_placeholder():
     ],
 )
 def test_a_placeholder_is_named_with_what_to_do(change, says):
-    (only,) = placeholders(robot_of(change(stated())))
+    (only,) = model_remarks(robot_of(change(stated())))
     assert re.search(says, only)
     assert only.startswith("r.urdf: a placeholder: ")
     assert "; " in only

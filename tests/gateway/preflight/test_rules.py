@@ -150,12 +150,14 @@ what = "safe torque off"
 object = { index = 0x60FD, type = "u32" }
 mask = 0x00030000
 good = 0x00010000
-
 [reference]
 object = { index = 0x2010, type = "u16" }
 mask = 1
 good = 1
-
+[torque_offset]
+kind = "permille_rated_torque"
+rated = { object = { index = 0x2076, type = "u32" }, unit = 0.001, source = "manual" }
+source = "manual"
 [[emcy]]
 """
 
@@ -176,7 +178,7 @@ def test_safety_chain_and_reference_where_the_profile_names_them(inputs, referen
     failing = worst(judge_state(axis(profile=profile), found))
     assert len(failing) == len(says)
     assert all(text in item.what and item.advice for text, item in zip(says, failing, strict=True))
-    assert {(0x60FD, 0), (0x2010, 0)} <= addresses(profile).keys()
+    assert {(0x60FD, 0), (0x2010, 0), (0x2076, 0)} <= addresses(profile).keys()
     assert {(0x60FD, 0), (0x2010, 0)} <= live_addresses(profile)
 
 

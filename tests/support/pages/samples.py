@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from gateway.report.follow_page import render_follow
 from gateway.report.render import render
 from gateway.report.stop import render_stop
 from gateway.result.acceptance import Expected, Rating, accepted, not_hung
-from gateway.result.result import NuisanceResult, Result, SetAside, from_json, read_result
+from gateway.result.result import NuisanceResult, Result, SetAside, from_json
 from tests.support.pages.diagnosed import decided, with_formula
 from tests.support.pages.moving import moving_result
 from tests.support.pages.other import comparison, forces, gaps, repetitions
@@ -23,24 +24,9 @@ SIX = (0.012, -0.031, 0.004, 0.02, -0.011, 0.007)
 BUDGET = {"constants": 0.72, "links": 0.08, "friction": 0.05, "noise": 0.15}
 
 
-def pages(results: list[Path]) -> Iterator[tuple[str, str]]:
-    """Name and HTML text of every page; `results` are further result files, each a page under its stem."""
-    found = _with_effects()
-    yield "result", render(found)
-    yield "estimate", render(_estimated(found))
-    yield "refused", render(_refused(found))
-    yield "not-mounted", render(_not_mounted(found))
-    yield "formula", render(with_formula())
-    yield "decided", render(decided())
-    yield "moving", render(moving_result())
-    yield "follow", render_follow(comparison())
-    yield "pair", forces()
-    yield "gap", gaps()
-    yield "repeatability", repetitions()
+def _stop() -> str:
     with tempfile.TemporaryDirectory() as folder:
-        yield "stop", render_stop(stopped(Path(folder)))
-    for path in results:
-        yield path.stem, render(read_result(path))
+        return render_stop(stopped(Path(folder)))
 
 
 def _with_effects() -> Result:
@@ -72,3 +58,20 @@ def _not_mounted(found: Result) -> Result:
     load = replace(found.loads[0], mass_kg=0.004, mass_std_kg=0.006, com_m=None, com_flange_m=None)
     bare = replace(_estimated(found), loads=(load,), verdict="none_needed")
     return replace(bare, findings=not_hung(bare.loads))
+
+
+#: HTML text of every page by its name; some take a diagnosis.
+PAGES: Final[dict[str, Callable[[], str]]] = {
+    "result": lambda: render(_with_effects()),
+    "estimate": lambda: render(_estimated(_with_effects())),
+    "refused": lambda: render(_refused(_with_effects())),
+    "not-mounted": lambda: render(_not_mounted(_with_effects())),
+    "formula": lambda: render(with_formula()),
+    "decided": lambda: render(decided()),
+    "moving": lambda: render(moving_result()),
+    "follow": lambda: render_follow(comparison()),
+    "pair": forces,
+    "gap": gaps,
+    "repeatability": repetitions,
+    "stop": _stop,
+}

@@ -147,11 +147,6 @@ def test_close_alone_writes_what_is_waiting(disk, tmp_path, header):
     assert "not finished" in recording.reason
 
 
-def test_nothing_measured_leaves_no_file(queue):
-    queue.close()
-    assert not queue.path.exists()
-
-
 def test_a_full_disk_is_reported_and_the_file_before_stays(queue):
     queue.add("main", visit(1, -1))
     until(queue, lambda: not queue.waiting)
@@ -172,9 +167,9 @@ def test_a_full_disk_is_reported_and_the_file_before_stays(queue):
     assert [each.number for each in read(queue.path).arms[0].visits] == [1, 2]
 
 
-def test_a_folder_that_is_not_there(disk, tmp_path, header):
-    with pytest.raises(InputError, match="No such file or directory"):
-        VisitQueue(disk, tmp_path / "none" / "run.h5", header, ARM_HEADER, None)
+def test_a_missing_folder_is_made_and_nothing_measured_leaves_no_file(disk, tmp_path, header):
+    VisitQueue(disk, tmp_path / "new" / "run.h5", header, ARM_HEADER, None).close()
+    assert list(tmp_path.rglob("*")) == [tmp_path / "new"]
 
 
 @pytest.mark.slow
