@@ -13,6 +13,8 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from scipy.stats import beta
 
+#: Standard deviations that cover a normal error in 95 %.
+HALF_WIDTH = 1.96
 Figures = dict[str, dict[str, Any]]
 
 

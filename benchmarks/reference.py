@@ -50,6 +50,7 @@ from gateway.jobs.accept import accept
 from gateway.jobs.calibrate import calibrate, store_calibration
 from gateway.jobs.check import check, check_moving
 from gateway.jobs.commission import commission
+from gateway.jobs.configure import apply_files, compare_with_files, dump, restore
 from gateway.jobs.drive_test import measure_timing
 from gateway.jobs.measure import move, record, record_moving, record_until_known
 from gateway.model.effect import Effect, nowhere
@@ -281,7 +282,7 @@ def _thresholds(of: Any) -> str:
 #: Public functions for programs that measure.
 JOBS: Final = (
     *(check, check_moving, move, record, record_until_known, record_moving, commission, accept, calibrate),
-    *(store_calibration, measure_timing),
+    *(store_calibration, measure_timing, dump, compare_with_files, apply_files, restore),
 )
 BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     "keys of a cell file": lambda: keys(Cell),

@@ -22,7 +22,6 @@ from benchmarks.program import one_thread, options, run
 FIRST_SEED = 1_000_000
 #: Largest factor between the strength of a blind arm and that of the rehearsal.
 APART = 3.0
-HALF_WIDTH = 1.96
 
 
 def main() -> int:
@@ -72,7 +71,7 @@ def figures(said: dict[str, Any], seen: dict[str, Any]) -> dict[str, dict]:
     """Figures of a rehearsal against what blind arms gave, both as `summary` counts them."""
     import numpy as np
 
-    from benchmarks.figure import figure, share
+    from benchmarks.figure import HALF_WIDTH, figure, share
     from gateway.jobs.rehearse import detection
 
     places = {(entry["name"], *entry["joints"]): entry for entry in said["effects"] if "detection_strength" in entry}

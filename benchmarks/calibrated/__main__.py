@@ -14,8 +14,6 @@ import numpy as np
 from benchmarks.calibrated.conditions import CONDITIONS
 from benchmarks.program import one_thread, options, run, seed_range
 
-#: Half width of a 95 % interval in standard deviations.
-HALF_WIDTH = 1.96
 QUANTITIES = ("mass", "x", "y", "z")
 #: Coverage that a condition is tested against, and level of the test over all conditions together.
 LEAST_COVERAGE, LEVEL = 0.90, 0.01
@@ -42,7 +40,7 @@ def figures(answers: list[dict], names: list[str]) -> dict[str, dict]:
     """Coverage of each condition and quantity, rms error over the stated deviation, ranks, refusals and warnings."""
     from scipy.stats import binom, kstest, norm
 
-    from benchmarks.figure import figure
+    from benchmarks.figure import HALF_WIDTH, figure
 
     out: dict[str, dict] = {}
     for name in names:

@@ -6,12 +6,10 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from benchmarks.figure import print_table
+from benchmarks.figure import HALF_WIDTH, print_table
 from benchmarks.golden.answers import largest_difference, relative
 
 Answers = dict[str, dict]
-#: Half width of a 95 % interval, in standard deviations.
-HALF_WIDTH = 1.96
 COMMANDS = ("estimate", "diagnose")
 #: Relative difference of a load or standard deviation that the linear algebra of another processor may make.
 TOLERANCE = 1e-5

@@ -19,8 +19,8 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.blind.strict import LEAST, STRONG, Said, misnamed, right, there
+from benchmarks.figure import HALF_WIDTH
 from benchmarks.moving.cells import TIERS, MovingCell, draw_cell
-from benchmarks.moving.figures import HALF_WIDTH
 from benchmarks.moving.oracle import beyond_nuisances
 from benchmarks.nature.moving_cell import FINE, reported_nm
 from benchmarks.nature.moving_effects import MAKERS, MovingEffect

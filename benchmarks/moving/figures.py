@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.figure import Figures, bootstrap, figure, middle, share
+from benchmarks.figure import HALF_WIDTH, Figures, bootstrap, figure, middle, share
 from benchmarks.moving.scores import AXIS_NAMES
 
 Floats = NDArray[np.float64]
 Cell = Mapping[str, Any]
 
-#: Half width of a 95 % interval, in standard deviations.
-HALF_WIDTH = 1.96
 #: Intervals that hold the truth.
 HOLDS = "0.93 .. 0.97"
 #: An inertia is excited where the oracle has each of its six numbers to this share of the largest principal one.

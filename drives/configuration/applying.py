@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -148,7 +148,7 @@ def require_at_rest(accesses: Sequence[ObjectAccess]) -> None:
         refuse_enabled(access)
 
 
-def write_all(work: Sequence[NodeWrites], notify: Callable[[int, Step], None] = lambda _node, _step: None) -> None:
+def write_all(work: Sequence[NodeWrites]) -> None:
     """Write to several drives; at the first failure everything that was written is put back.
 
     The drives are taken to PRE-OPERATIONAL, where records of PDOs may be written. Once all is written, the values are
@@ -174,7 +174,6 @@ def write_all(work: Sequence[NodeWrites], notify: Callable[[int, Step], None] = 
             for step in each.steps:
                 old.setdefault((step.index, step.subindex), held[step.index, step.subindex])
                 access.write_step(step)
-                notify(access.node_id, step)
     except BaseException as error:
         left = [name for access, old, noted in reversed(done) for name in access.undo(old, noted)]
         error.add_note(

@@ -61,7 +61,7 @@ def warm_up(
     poses: Sequence[RestPose],
     path: Path,
     longest_s: float,
-    measure: Callable[[Sequence[RestPose], Path], None],
+    measure: Callable[[Sequence[RestPose]], None],
 ) -> str:
     """Move between a few poses until their friction no longer changes, or the time is over; return the outcome.
 
@@ -73,13 +73,13 @@ def warm_up(
     longest_s : float
         Longest duration [s], in bus time.
     measure : callable
-        Function that measures poses and appends them to a file.
+        Function that measures poses and appends them to the recording.
     """
     chosen = poses[:ROUND_POSES]
     number = _rounds(path)
     while True:
         number += 1
-        measure([replace(pose, number=pose.number + AGAIN * (number - 1)) for pose in chosen], path)
+        measure([replace(pose, number=pose.number + AGAIN * (number - 1)) for pose in chosen])
         bands, time_s = _bands(path, number)
         change = np.nanmedian(np.abs(bands[-1] / bands[-2])) - 1.0 if number > 1 else np.inf
         if abs(change) <= STILL:

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from drives.bus_spec import BusSpec
-from drives.profile import is_assumed
+from drives.profile import DriveProfile, is_assumed
+from drives.profile_file import find_profile
 from drives.toml_lines import KeyPath, key_lines
 from drives.validation import Refused, Strict, Unfit, read_strict, refuse
 from gateway.cell import plausible
@@ -570,6 +571,13 @@ class LoadedCell(Strict):
     text: str
     folder: Path
     calibration: str = ""
+    _profiles: dict[str, DriveProfile] = PrivateAttr(default_factory=dict)
+
+    def profile(self, name: str) -> DriveProfile:
+        """Return the drive profile of this name, as `find_profile`; each is read once, also for copies of the cell."""
+        if name not in self._profiles:
+            self._profiles[name] = find_profile(name, self.folder)
+        return self._profiles[name]
 
     def path(self, name: str) -> Path:
         """Return the path of a file named in the cell."""
@@ -617,16 +625,13 @@ def load_cell(path: Path) -> LoadedCell:
 
 def with_sync_period(loaded: LoadedCell, bus: str, sync_period_s: float) -> LoadedCell:
     """Return the same cell with another SYNC period on one bus."""
-    cell = loaded.cell
-    buses = dict(cell.bus)
-    buses[bus] = buses[bus].model_copy(update={"sync_period_s": sync_period_s})
-    return loaded.model_copy(update={"cell": cell.model_copy(update={"bus": buses})})
+    buses = loaded.cell.bus | {bus: loaded.cell.bus[bus].model_copy(update={"sync_period_s": sync_period_s})}
+    return loaded.model_copy(update={"cell": loaded.cell.model_copy(update={"bus": buses})})
 
 
 def with_pacing(loaded: LoadedCell, pacing: str | None) -> LoadedCell:
     """Return the same cell with another pacing on every bus; None = unchanged."""
     if pacing is None:
         return loaded
-    cell = loaded.cell
-    buses = {name: bus.model_copy(update={"pacing": pacing}) for name, bus in cell.bus.items()}
-    return loaded.model_copy(update={"cell": cell.model_copy(update={"bus": buses})})
+    buses = {name: bus.model_copy(update={"pacing": pacing}) for name, bus in loaded.cell.bus.items()}
+    return loaded.model_copy(update={"cell": loaded.cell.model_copy(update={"bus": buses})})

@@ -7,7 +7,7 @@ handled at every SYNC; a test that was stopped raises the error of the stop.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -76,11 +76,10 @@ class StopProof:
     def as_json(self) -> dict[str, Any]:
         """Return the proof as plain values."""
         drives = [
-            asdict(trace) | {"state": str(trace.state), "moved_joint_rad": moved, "coast_joint_rad": coast}
+            {each.name: getattr(trace, each.name) for each in fields(trace) if each.name != "samples"}
+            | {"state": str(trace.state), "moved_joint_rad": moved, "coast_joint_rad": coast}
             for trace, moved, coast in zip(self.traces, self.moved_rad, self.coast_rad, strict=True)
         ]
-        for drive in drives:
-            del drive["samples"]
         return {"arm": self.arm, "drives": drives}
 
 

@@ -26,7 +26,6 @@ from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
     from drives.discovery import ScanResult
-    from drives.ledger import LedgerEntry
     from gateway.result.result import Finding
 
 
@@ -138,10 +137,8 @@ def check(
 
     context = open_cell(cell, bus_spec, reserve, moving.pacing)
     session = session_of()
-    items: dict[str, list[Finding]] = {}
+    items = {arm.name: check_arm(context, arm=arm.name) for arm in context.arms}
     proofs: list[dict[str, Any]] = []
-    for arm in context.arms:
-        items[arm.name] = check_arm(context, arm=arm.name)
     failed = any(line.severity == "fail" for lines in items.values() for line in lines)
     moves = move or prove_stop or brakes
     try:
@@ -201,68 +198,37 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
     If a drive does not answer or refuses an object, the others are still restored. The entry stays in the ledger, is
     listed, and the exit code is 4. An object that another tool has written since keeps its value.
     """
-    from drives.errors import DriveError, raise_failures
+    from drives.errors import raise_failures
     from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.configure import restore as restore_drives
 
-    context = open_cell(cell, bus_spec, reserve)
-    arms: list[dict[str, Any]] = []
-    failures: list[DriveError] = []
-    for arm in context.arms:
-        with context.connected_for_restore(arm) as nodes:
-            for node in nodes.all:
-                elsewhere = nodes.ledger.of_other_bus(node.access.device)
-                where = " and ".join(sorted({str(entry.bus) for entry in elsewhere}))
-                if elsewhere and agreed(
-                    f"Node {node.node_id} has no serial number, and the write ledger holds {len(elsewhere)} objects of"
-                    f" a drive like it that were written over {where}. Is this the same drive?"
-                ):
-                    node.access.take_over(elsewhere)
-            before = nodes.noted
-            wrong = list(nodes.failures_found)
-            if nodes.all:
-                try:
-                    nodes.restore()
-                except DriveError as error:
-                    wrong.append(error)
-            for line in nodes.taken_down:
-                session_of().show(f"arm {arm.name}: {line}")
-            superseded = [entry for node in nodes.all for entry in node.access.superseded]
-            left = nodes.noted
-            back = [entry for entry in before if entry not in left and entry not in superseded]
-            _say_restored(arm.name, back, superseded, left)
-            if left and forget:
-                question = f"{len(left)} objects of arm '{arm.name}' keep their current values."
-                if not yes:
-                    confirm(
-                        f"{question} Remove them from the ledger?", "declined: the entries stay in the write ledger"
-                    )
-                nodes.ledger.forget(*left)
-                left, wrong = (), []
-            failures += wrong
-        listed = {"put_back": back, "written_by_others": superseded, "left": left}
-        texts = {key: [str(entry) for entry in each] for key, each in listed.items()}
-        arms.append({"arm": arm.name} | texts | {"disabled": list(nodes.taken_down)})
+    context, session = open_cell(cell, bus_spec, reserve), session_of()
+
+    def show_and_forget(restored: dict[str, Any]) -> bool:
+        arm, back, left = f"arm {restored['arm']}", restored["put_back"], restored["left"]
+        for line in restored["disabled"]:
+            session.show(f"{arm}: {line}")
+        for entry in back:
+            session.note(f"restored: {entry}", level=1)
+        session.show(f"{arm}: {len(back)} objects restored" if back or left else f"{arm}: nothing to restore")
+        for entry in restored["written_by_others"]:
+            session.show(f"  keeps its value, because another tool has written it since: {entry}")
+        if not left:
+            return False
+        session.show(
+            f"{arm}: {len(left)} objects remain in the write ledger (original -> written value); remove the cause and"
+            " run restore again, or remove them with --forget"
+        )
+        for entry in left if session.verbosity > 0 else left[:_LISTED]:
+            session.show(f"  {entry}")
+        if len(left) > _LISTED and session.verbosity <= 0:
+            session.show(f"  and {len(left) - _LISTED} more (list them with -v)")
+        if forget and not yes:
+            question = f"{len(left)} objects of arm '{restored['arm']}' keep their current values."
+            confirm(f"{question} Remove them from the ledger?", "declined: the entries stay in the write ledger")
+        return forget
+
+    arms, failures = restore_drives(context, same_drive=agreed, forget=show_and_forget)
     if json_out:
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "arms": arms})
     raise_failures(failures)
-
-
-def _say_restored(
-    arm: str, back: Sequence[LedgerEntry], superseded: Sequence[LedgerEntry], left: Sequence[LedgerEntry]
-) -> None:
-    """Show what was restored, what was skipped, and what remains in the ledger."""
-    session = session_of()
-    for entry in back:
-        session.note(f"restored: {entry}", level=1)
-    session.show(f"arm {arm}: {len(back)} objects restored" if back or left else f"arm {arm}: nothing to restore")
-    for entry in superseded:
-        session.show(f"  {entry.where} keeps its value: another tool has written it since")
-    if left:
-        session.show(
-            f"arm {arm}: {len(left)} objects remain in the write ledger; remove the cause and run restore again, or"
-            " remove them with --forget"
-        )
-    for entry in left if session.verbosity > 0 else left[:_LISTED]:
-        session.show(f"  {entry.where}: original {entry.old:#x}, written {entry.new:#x}")
-    if len(left) > _LISTED and session.verbosity <= 0:
-        session.show(f"  and {len(left) - _LISTED} more (list them with -v)")

@@ -58,12 +58,12 @@ def drive_test(
     context, session = open_cell(cell, bus_spec, reserve, moving.pacing), session_of()
     arm = arm_named(context.loaded, arm_name)
     numbers = {f"J{number + 1}": number for number in range(len(arm.axis))}
-    if unknown := [name for name in axes if name.upper() not in numbers]:
+    names = [name.upper() for name in axes] or list(numbers)
+    if unknown := [name for name in names if name not in numbers]:
         raise click.UsageError(f"--axis: '{unknown[0]}' is not an axis of this arm: give one of {', '.join(numbers)}")
-    axes = tuple(name.upper() for name in axes) or tuple(numbers)
-    for name in [PAGE, *(f"{axis}.json" for axis in axes)]:
+    for name in [PAGE, *(f"{axis}.json" for axis in names)]:
         refuse_to_replace(folder / name, "-o", session)
-    tested, operator = {numbers[name] for name in axes}, terminal(session, moving)
+    tested, operator = [numbers[name] for name in names], terminal(session, moving)
     with stoppable(moving) as options:
         reports, failure = measure_timing(context, folder, operator, options, arm=arm.name, axes=tested)
     for report in reports:

@@ -80,6 +80,7 @@ def follow(
     """
     from dataclasses import asdict, replace
 
+    from gateway.commands.terminal import terminal
     from gateway.feedforward.identified import notes_of, with_identified
     from gateway.follow.comparison import result_of
     from gateway.follow.path_run import follow as drive
@@ -110,7 +111,7 @@ def follow(
         session.note(f"{joints}: {note}")
     with stoppable(moving) as options, context.opened(arm, trace=trace, offsets=("velocity", "torque")) as opened:
         identities = [asdict(identity) for identity in opened.identities]
-        options = begin_motion(context, (opened,), options, moving.ask, session.note)
+        options = begin_motion(context, (opened,), options, terminal(session, moving))
         with context.last_seconds(options, opened), session.progress(prepared.duration_s, "follow") as bar:
             parts, pacing = (prepared.workspace, prepared.path, prepared.settings), opened.group.timing.pacing
             tracks = drive(
@@ -124,9 +125,8 @@ def follow(
         write_json(json_out, plain_values(result))
     if report_file:
         write_page(report_file, render_follow(result))
-    _show(result, session)
-    if report_file:
         session.show(f"report: {report_file}")
+    _show(result, session)
     fail_on_findings(result.findings)
 
 

@@ -72,11 +72,13 @@ def _with_move(function: Function, percent: int) -> Function:
     def gathered(*arguments: Any, **named: Any) -> Any:
         from gateway.motion.stops import CLOSED, StoppedByPerson, output_closed
 
+        moves = _moves(named)
+        named["hold_to_run"] &= moves
         choice = MoveChoice(**{name: named.pop(name) for name in MOVE})
         try:
             return function(*arguments, moving=choice, **named)
         except (OSError, SystemExit) as error:
-            if output_closed(error) and _moves(named):
+            if output_closed(error) and moves:
                 raise StoppedByPerson(CLOSED) from error
             raise
 
@@ -108,9 +110,9 @@ def _with_move(function: Function, percent: int) -> Function:
 
 
 def _moves(named: Mapping[str, Any]) -> bool:
-    """Return whether motion was requested; `check` moves only with its motion options."""
+    """Return whether motion was requested: `check` moves only with its motion options, no command with data."""
     asked = [named[flag] for flag in ("move", "prove_stop", "brakes") if flag in named]
-    return not asked or any(asked)
+    return not named.get("data") and (not asked or any(asked))
 
 
 @contextmanager
@@ -138,17 +140,16 @@ def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
 
         if move.live:
             options = replace(options, before_question=show_page)
-        if not move.hold_to_run:
-            yield options
-            return
-        key = stack.enter_context(held_key())
-        desk.watch(lambda: key() if desk.under_power else None)
+        if move.hold_to_run:
+            key = stack.enter_context(held_key())
+            desk.watch(lambda: key() if desk.under_power else None)
 
-        def ready() -> None:
-            session_of().note("hold the space bar: the arm moves only while it is held")
-            key.wait()
+            def ready() -> None:
+                session_of().note("hold the space bar: the arm moves only while it is held")
+                key.wait()
 
-        yield replace(options, ready=ready)
+            options = replace(options, ready=ready)
+        yield options
 
 
 def support_asked(move: MoveChoice) -> Callable[[str], Callable[[], bool] | None]:

@@ -66,6 +66,7 @@ def _in_motion(
     context: CellContext, pair: PairCell, what: str, moving: MoveChoice
 ) -> Generator[tuple[PairLink, MoveOptions]]:
     """Open both arms and ask; the stop of their drives was proven before, in slow motion with open grippers."""
+    from gateway.commands.terminal import terminal
     from gateway.jobs.frame import begin_motion
     from gateway.pair.pair_motion import refuse_elsewhere
     from gateway.pair.session import open_link
@@ -78,7 +79,7 @@ def _in_motion(
     what = f"are at the start {held} and will {what}"
     with context.with_move_command(), stoppable(moving) as options, open_link(pair, context.ledger) as link:
         refuse_elsewhere(pair, link.together.where())
-        options = begin_motion(context, link.opened, options, moving.ask, session.note, what=what, proof="stored")
+        options = begin_motion(context, link.opened, options, terminal(session, moving), what=what, proof="stored")
         with context.last_seconds(options, *link.opened):
             yield link, options
 

@@ -137,21 +137,10 @@ def profiles_new(
     if not profile.obstacles:
         session.show(f'next: name it in the cell file, profile = "{output.stem}", then servo-gateway check CELL')
     if json_out:
-        remarks = {"left_out": [str(remark) for remark in device.sheet.remarks]}
-        write_json(
-            json_out,
-            {
-                "schema": 1,
-                "profile": str(output),
-                "name": profile.name,
-                "open": [
-                    {"key": question.key, "asks": question.asks, "ways": list(question.ways)}
-                    for question in open_questions(device, answers)
-                ],
-                "obstacles": list(profile.obstacles),
-            }
-            | remarks,
-        )
+        asked = [{"key": each.key, "asks": each.asks, "ways": list(each.ways)} for each in left]
+        body = {"schema": 1, "profile": str(output), "name": profile.name, "open": asked}
+        body |= {"obstacles": list(profile.obstacles), "left_out": [str(remark) for remark in device.sheet.remarks]}
+        write_json(json_out, body)
 
 
 def _at_terminal() -> bool:

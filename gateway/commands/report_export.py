@@ -39,7 +39,6 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
     from gateway.report.render import render
 
     if is_recording(result):
-        from gateway.commands.pages import write_page
         from gateway.data.blackbox.box import read_box
         from gateway.data.blackbox.ring_buffer import recover_box
         from gateway.errors import InputError
@@ -52,16 +51,13 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
                 "measurement give the OUT.json of estimate or diagnose"
             )
         box = read_box(path)
-        write_page(output, render_stop(box))
-        if json_out:
-            summary = {"schema": 1, "report": str(output), "recording": box.recording, "reason": box.reason}
-            write_json(json_out, summary)
-        session_of().show(f"report: {output}")
-        return
-    held = _read_result(result)
-    write_page(output, render(held))
+        page, summary = render_stop(box), {"recording": box.recording, "reason": box.reason}
+    else:
+        held = _read_result(result)
+        page, summary = render(held), {"robot": held.robot, "verdict": held.verdict}
+    write_page(output, page)
     if json_out:
-        write_json(json_out, {"schema": 1, "report": str(output), "robot": held.robot, "verdict": held.verdict})
+        write_json(json_out, {"schema": 1, "report": str(output), **summary})
     session_of().show(f"report: {output}")
 
 
@@ -132,6 +128,11 @@ def export(result: Path, fmt: str, label: str | None, every: bool, arm_name: str
         text = export_text(held, fmt, label)
         if held.data is not None and is_assumed(held.data.flange_source or ""):
             session_of().note(f"{result}: flange {held.data.flange_source}; state flange_rpy_rad in the cell file")
+    _write(text, fmt, output)
+
+
+def _write(text: str, fmt: str, output: Path | None) -> None:
+    """Write an export to its file, or to stdout."""
     if output is None:
         click.echo(text, nl=False)
     else:
@@ -152,12 +153,7 @@ def _certificate(path: Path, label: str | None, output: Path | None) -> None:
         if not labels:
             raise DataUnusable(f"{path}: holds no load to certify (servo-gateway estimate DATA --json OUT.json)")
         raise InputError(f"{path}: holds no load '{label}'; it holds: {labels}")
-    text = certificate_xml(held, label, datetime.now(UTC).date())
-    if output is None:
-        click.echo(text, nl=False)
-    else:
-        replace_file(output, text)
-        session_of().show(f"{CERTIFICATE_FORMAT}: {output}")
+    _write(certificate_xml(held, label, datetime.now(UTC).date()), CERTIFICATE_FORMAT, output)
     if not stated.traceability.is_traceable:
         session_of().note(f"{path}: {NOT_TRACEABLE}: {stated.traceability.statement}")
     if stated.refused:

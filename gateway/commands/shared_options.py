@@ -182,12 +182,7 @@ def _json_target(ctx: click.Context, param: click.Parameter, value: str | None) 
     if value == "-":
         session_of(ctx).data_on_stdout = True
     elif value is not None:
-        path = Path(value)
-        if not path.parent.is_dir():
-            raise InputError(
-                f"--json {value}: the folder {path.parent} does not exist: create it, or choose another file"
-            )
-        new_file(ctx, param, path)
+        new_file(ctx, param, Path(value))
     return value
 
 

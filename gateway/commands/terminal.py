@@ -137,11 +137,10 @@ def terminal(session: Session, moving: MoveChoice) -> Operator:
         with session.progress(total_s, name) as bar:
             yield ProgressListener(session, bar)
 
-    support = support_asked(moving)
     return Operator(
         ask=moving.ask,
         mount=mount,
-        support=support,
+        support=support_asked(moving),
         say=session.note,
         planned=planned,
         checked=checked,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -30,18 +29,17 @@ until_option = click.option(
 
 def as_json(reason: str, decision: NextStep) -> dict[str, Any]:
     """Return how it ended as plain values; null if not requested or unknown."""
+    from gateway.result.values import plain_values
+
     verdict = decision.verdict
-
-    def plain(values: Any) -> list[float | None]:
-        return [float(value) if math.isfinite(value) else None for value in values]
-
-    half, goal = plain(verdict.half), plain(verdict.goal)
-    return {
-        "reached": bool(verdict.reached.all()),
-        "reason": reason,
-        "poses": verdict.poses,
-        "mass_half_width_kg": half[0],
-        "mass_goal_kg": goal[0],
-        "com_half_width_m": half[1:],
-        "com_goal_m": goal[1:],
-    }
+    return plain_values(
+        {
+            "reached": bool(verdict.reached.all()),
+            "reason": reason,
+            "poses": verdict.poses,
+            "mass_half_width_kg": float(verdict.half[0]),
+            "mass_goal_kg": float(verdict.goal[0]),
+            "com_half_width_m": verdict.half[1:],
+            "com_goal_m": verdict.goal[1:],
+        }
+    )

@@ -17,10 +17,9 @@ from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.pose_selection import PoseChoice
 from gateway.errors import DataUnusable, InputError
-from gateway.estimate import ESTIMATORS
+from gateway.estimate import ESTIMATORS, to_result
 from gateway.identify.knowledge import Knowledge
-from gateway.identify.load_estimate import load_result
-from gateway.identify.prior_loads import refuse_parts
+from gateway.identify.prior_loads import refuse_absent, refuse_parts
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot
 from gateway.result.result import Decided, Finding, HoldoutKind, Result
@@ -74,7 +73,8 @@ def diagnose(
     InputError : a known load that is not in the data, or hold-out rows with another number of axes
     """
     knowledge = knowledge or Knowledge()
-    refuse_parts(table.load, knowledge.parts, knowledge.known)
+    refuse_absent(table.load, knowledge.stated_loads, table.file)
+    refuse_parts(table.load, knowledge.parts, knowledge.known, table.file)
     moves = bool(table.moving.all())
     held, left_out = _held_out_of_kind(holdout, robot, moves=moves)
     if moves:
@@ -91,10 +91,10 @@ def diagnose(
         if table.moving.any():
             if not (refused or result.effects):
                 # The result with the loads that `estimate` gives from rest and moving rows together
-                found = ESTIMATORS["joint"](table, robot, rest.stated)
-                loads = tuple(load_result(load, robot) for load in found.loads)
-                nuisance = {**result.nuisance, **found.nuisance}
-                result = replace(result, loads=loads, after=replace(result.after, loads=loads), nuisance=nuisance)
+                found = to_result(ESTIMATORS["joint"](table, robot, rest.stated), robot, rest.stated)
+                after, nuisance = replace(result.after, loads=found.loads), {**result.nuisance, **found.nuisance}
+                band_nm = found.friction_band_nm
+                result = replace(result, loads=found.loads, after=after, nuisance=nuisance, friction_band_nm=band_nm)
             left_out = (*_beside(int(table.moving.sum()), "moving", "rest"), *left_out)
     return replace(result, findings=(*result.findings, *left_out)) if left_out else result
 

@@ -104,7 +104,7 @@ def _together(table: Table, robot: Robot, knowledge: Knowledge) -> Estimate:
         method="joint",
         loads=(*found.loads, *(load for label, load in gone.items() if label not in (BARE_LABEL, *knowledge.known))),
         sigma_nm=found.sigma_nm if rest is None else axis_sigma(rest.problem, rest),
-        band_nm=found.band_nm if rest is None else np.abs(rest.problem.rows.band_nm),
+        band_nm=found.band_nm if rest is None else rest.friction_band_nm,
         set_aside=(*rejected.entries, *found.set_aside),
         findings=(*rejected.findings, *found.findings),
     )
@@ -159,8 +159,8 @@ def estimate(
         return estimate_coefficient(table, knowledge, coefficient)
     if robot is None:
         raise ConfigError(f"--method {method} needs the robot model: give --robot R.urdf or --cell CELL")
-    refuse_absent(table.load, knowledge.weighed)
-    refuse_parts(table.load, knowledge.parts, knowledge.known)
+    refuse_absent(table.load, knowledge.stated_loads, table.file)
+    refuse_parts(table.load, knowledge.parts, knowledge.known, table.file)
     knowledge = knowledge.of_robot(robot)
     found = ESTIMATORS[method](table, robot, knowledge)
     measured = [load for load in found.loads if load.label not in knowledge.parts]

@@ -92,7 +92,7 @@ def estimate_coefficient(table: Table, knowledge: Knowledge, how: Coefficient | 
     if how.lever not in rest.extra:
         have = ", ".join(rest.extra) or "none"
         raise InputError(f"--lever {how.lever}: no such column in the data; extra columns there: {have}")
-    labels = refuse_absent(rest.load, knowledge.stated_loads)
+    labels = refuse_absent(rest.load, knowledge.stated_loads, rest.file)
     for label, load in knowledge.weighed.items():
         if load.mass_std_kg > 0.0:
             raise InputError(f"--known {label}: the coefficient method takes a known mass as exact; leave +-STD out")

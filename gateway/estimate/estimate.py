@@ -171,7 +171,7 @@ def describe(
         covariance=covariance,
         rows=fitted_rows(problem, fit),
         sigma_nm=axis_sigma(problem, fit),
-        band_nm=np.abs(problem.rows.band_nm),
+        band_nm=fit.friction_band_nm,
         rank=fit.rank,
         condition=fit.condition,
         lumped=tuple(name for name, good in zip(names, found, strict=True) if not good),
@@ -306,6 +306,6 @@ def physical_findings(load: LoadEstimate, frame: str, radius_m: float) -> list[F
         out.append(
             Finding("warn", where,
                     f"centre of mass is {distance:.2f} m from {frame}, outside a sphere of {radius_m:.2f} m{margin}",
-                    "not believable for a tool: the model may lack an effect (diagnose)")
+                    "not believable for a tool: the model may lack an effect")
         )  # fmt: skip
     return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
+#: Check of the finding that a model does not fit.
+MISFIT: Final = "model_misfit"
 _MOST_ROWS = 2000
 _AT_REST = ("joint", "posture")
 #: Residual over noise floor from which a misfit is reported: above the largest of 150 axes of healthy simulated arms,
@@ -143,7 +145,7 @@ def _misfit(estimate: Estimate) -> list[Finding]:
                     f"the model does not fit: the residual is {np.sqrt(square / use.sum()):.2g} Nm and repeated visits"
                     f" agree to {floor[k]:.2g} Nm; the difference is model error, not noise",
                     "run `servo-gateway diagnose` on the same data: it searches for the effect that is missing",
-                    "model_misfit",
+                    MISFIT,
                 )
             )  # fmt: skip
     return out

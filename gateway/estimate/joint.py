@@ -68,8 +68,8 @@ def estimate_joint(
         findings = (*found.findings, *settled.findings)
         if settled.conflict is None or gravity:
             return replace(found, findings=(*findings, *gravity))
-        loads = tuple(refused_load(load.label, settled.conflict.reason) for load in found.loads)
-        return replace(found, loads=loads, findings=(*findings, settled.conflict.finding), bare=None)
+        loads = tuple(refused_load(load.label, settled.conflict.what) for load in found.loads)
+        return replace(found, loads=loads, findings=(*findings, settled.conflict), bare=None)
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(refused[label] for label in problem.labels if label in refused)
     if not len(kept):

@@ -57,7 +57,8 @@ def estimate_moving(
     loads, periods = loads_of(found, robot), found.periods
     if found.fit is None:
         blank = np.full(moving.axes, np.nan)
-        return Estimate("moving", loads, blank, blank, set_aside=periods.set_aside, findings=periods.findings)
+        findings = (*found.findings, *periods.findings)
+        return Estimate("moving", loads, blank, blank, set_aside=periods.set_aside, findings=findings)
     estimate = _estimate(found.fit, periods.mean)
     return replace(
         estimate,

@@ -96,20 +96,17 @@ def _bare(visits: Visits, robot: Robot, knowledge: Knowledge, base: BaseSet, lab
         if found is not None:
             return found
         raise DataUnusable(
-            "the rows of the unloaded arm do not determine all of its base parameters; measure "
-            "more postures without load that move axes 2"
-            f" to {robot.axes}, or use --method joint, which needs no complete set"
+            "the rows of the unloaded arm do not determine all of its base parameters; measure more postures without"
+            f" load that move axes 2 to {robot.axes}, or use --method joint, which needs no complete set"
         )
     mean, std = link_prior(robot, knowledge.trust, PER_LINK_AT_REST)
     if np.isinf(std).any():
         lumped = [name for name in base.names if f"_{robot.axes}" in name]
         raise DataUnusable(
-            f"loads {', '.join(labels)} were mounted throughout and the unloaded arm is unknown: only link"
-            f" {robot.axes} and load together can be identified, in the combinations "
-            f"{'; '.join(lumped)}; give a stored bare"
-            " identification (--bare RESULT.json), record the unloaded arm too, or state how far "
-            "the URDF's inertials are"
-            " trusted (--inertials)"
+            f"loads {', '.join(labels)} were mounted throughout and the unloaded arm is unknown: only link {robot.axes}"
+            f" and load together can be identified, in the combinations {'; '.join(lumped)}; give a stored bare"
+            " identification (--bare RESULT.json), record the unloaded arm too, or state how far the URDF's inertials"
+            " are trusted (--inertials)"
         )
     std = np.maximum(std, _BLURRED)
     covariance = (base.combination * std**2) @ base.combination.T
@@ -142,8 +139,7 @@ def refuse_other_bare(bare: Bare, robot: Robot, gravity_m_s2: Sequence[float]) -
     if not _same_span(combination, base.combination) or not np.allclose(bare.gravity_m_s2, gravity_m_s2, atol=1e-3):
         raise InputError(
             f"--bare: it identified robot '{bare.robot}' with gravity {list(bare.gravity_m_s2)}, and its base"
-            f" parameters are not those of '{robot.name}' with {list(gravity_m_s2)}; use the bare run of the"
-            " same arm in the same mounting"
+            f" parameters are not those of '{robot.name}' with {list(gravity_m_s2)}: another arm or mounting"
         )
 
 

@@ -138,7 +138,7 @@ def _regressed(
     found = _solved(residual, both, used, weight)
     # change of the solution when each block of time is left out
     block = np.repeat(np.arange(rows) * BLOCKS // rows, used.shape[1])
-    basis, left = found.orthogonal, found.residual * weight.ravel()
+    basis, left = found.basis.dense, found.residual * weight.ravel()
     parts = [(basis[block == number], left[block == number]) for number in range(BLOCKS)]
     changes = [np.linalg.lstsq(np.eye(found.rank) - own.T @ own, own.T @ rest)[0] for own, rest in parts]
     std = np.sqrt(np.diag(jackknife(np.array(changes) @ found.basis.inverse.T))[:count])

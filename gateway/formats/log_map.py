@@ -244,11 +244,6 @@ def read_map(path: Path, changes: Mapping[str, Any] | None = None) -> LogMap:
         raise ConfigError.of(error.messages(str(path))) from error
 
 
-def map_schema() -> dict[str, Any]:
-    """Return the JSON schema of the map."""
-    return LogMap.model_json_schema()
-
-
 #: Units that need a number of the drive beside them, and the key that gives it.
 NEEDS: Final = {
     "counts": "counts_per_revolution",

@@ -99,8 +99,7 @@ class LinearisedFit:
         `link_scale` is the standard deviation of a factor on all link masses: CAD without motors, or of another alloy.
         `further_std` (e,) is that of the further parameters; 0 = they are left out, as they all are where it is None.
         """
-        problem, fit = self.problem, self.fit
-        width = len(std)
+        problem, fit, width = self.problem, self.fit, len(std)
         more = np.zeros(self.gram.shape[1] - width) if further_std is None else further_std
         kept = np.append(np.arange(width), width + np.flatnonzero(more > 0))
         gram, right = self.gram[:, kept][:, :, kept], self.right[:, kept]
@@ -115,9 +114,9 @@ class LinearisedFit:
         precision -= np.outer(tied, tied) / (1.0 + shared @ tied)
         rows = np.pad(problem.prior_rows, ((0, 0), (0, len(kept) - width)))
         known = problem.prior_target - problem.prior_rows @ fit.common
-        noise = left = np.ones(len(self.count))
-        size = scale = step = inverse = np.empty(0)
-        for _ in range(_NOISE_STEPS):
+
+        def solved(noise: Floats) -> tuple[Floats, Floats, Floats, Floats, float]:
+            """Return the next noise, the squared residuals, step and covariance, and the determinant's logarithm."""
             weight = noise**-2.0
             matrix = np.tensordot(weight, gram, 1) + precision + rows.T @ rows
             scale = np.sqrt(np.diag(matrix))
@@ -127,14 +126,18 @@ class LinearisedFit:
             inverse = determined @ determined.T / np.outer(scale, scale)
             size = np.maximum(size, _SINGULAR)
             step = inverse @ (weight @ right + precision @ np.where(held, pull, 0.0) + rows.T @ known)
-            left = self.square - 2.0 * right @ step + np.einsum("i,gij,j->g", step, gram, step)
+            left = np.maximum(self.square - 2.0 * right @ step + np.einsum("i,gij,j->g", step, gram, step), 0.0)
             taken = np.einsum("gij,ij->g", gram, inverse) * weight
-            left = np.maximum(left, 0.0)
-            noise = noise_std(self.count, taken, left, self.start, self.least)
+            log_det = float(np.sum(np.log(size)) + 2.0 * np.sum(np.log(scale)))
+            return noise_std(self.count, taken, left, self.start, self.least), left, step, inverse, log_det
+
+        noise = np.ones(len(self.count))
+        for _ in range(_NOISE_STEPS - 1):
+            noise, *_ = solved(noise)
+        noise, left, step, inverse, log_det = solved(noise)
         away = np.where(held, pull - step, 0.0)
         short = known - rows @ step
         penalty = float(away @ precision @ away) + float(short @ short)
-        log_det = float(np.sum(np.log(size)) + 2.0 * np.sum(np.log(scale)))
         density = log_density(self.count, left, noise, self.start, penalty)
         return density - 0.5 * log_det - log_spread, step[:width], inverse[:width, :width]
 

@@ -27,7 +27,7 @@ from gateway.identify.alternatives import (
 )
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import load_directions
-from gateway.identify.model_conflict import ModelConflict, model_conflict
+from gateway.identify.model_conflict import model_conflict
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -66,7 +66,7 @@ class SettledKnowledge:
     fit: Fit
     findings: tuple[Finding, ...]
     log_odds: float = 0.0
-    conflict: ModelConflict | None = None
+    conflict: Finding | None = None
 
 
 def settle(
@@ -210,8 +210,8 @@ def links_finding(axis: int, torque_nm: tuple[float, float, float], where: str, 
         f"the link masses of the robot model are contradicted by the measurement: the unloaded arm would need"
         f" {expected:.4g} Nm {where}, and the measurement gives"
         f" {measured:.4g} \N{PLUS-MINUS SIGN} {1.96 * std:.2g} Nm (95 %); {use}",
-        "check the masses of the robot model against the data sheet, or state --inertials ignore; if they are right, an"
-        " effect is missing: run `servo-gateway diagnose`",
+        "check the masses of the robot model against the data sheet, or state --inertials ignore; if they are right,"
+        " the model lacks an effect",
         "link_masses",
     )
 

@@ -197,11 +197,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
     flange = None if robot is None else robot.flange
     reported = load.refused is None and np.isfinite(load.mass_kg)
     inertia = load.inertia if reported else None
-    open_: tuple[str, ...] = ()
-    if inertia is not None:
-        open_ = inertia.unidentifiable
-    elif reported and known.all():  # a load with unknown centre has no inertia about it: the place is named
-        open_ = (INERTIA_WHOLE,)
+    open_ = (INERTIA_WHOLE,) if inertia is None else inertia.unidentifiable
     return LoadResult(
         label=load.label,
         mass_kg=float(load.mass_kg),
@@ -211,7 +207,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
         frame="link_6" if robot is None else robot.last_link,
         com_flange_m=None if flange is None or not known.all() else tuple(in_flange(load.com_m, flange).tolist()),
         correlation=matrix(load.correlation) if reported else None,
-        unidentifiable=(*load.unidentifiable, *open_),
+        unidentifiable=load.unidentifiable if load.refused is not None else (*load.unidentifiable, *open_),
         per_pose_mass_kg=dict(load.per_pose_mass_kg),
         budget=dict(load.budget),
         common_errors={name: matrix(values) for name, values in load.common_errors.items()},

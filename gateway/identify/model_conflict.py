@@ -1,9 +1,10 @@
-"""Large contradictions between rest visits and the robot model, after which no load is given, with their causes.
+"""Large contradictions between measured torques and the robot model, after which no load is given, with their causes.
 
-Candidate causes: one factor on all torques, two exchanged torque columns, a body on the flange in the unloaded run.
-Each is corrected in the visits, which are then fitted with the statements as they are. It is the cause if it explains
-the visits as well as wrong link masses do, and leaves neither a contradiction nor the residual of a missing effect.
-Wrong masses of single links are another case: the unloaded arm is measured, and they are not needed.
+Candidate causes at rest: one factor on all torques, two exchanged torque columns, a body on the flange in the unloaded
+run. Each is corrected in the visits, which are then fitted with the statements as they are. It is the cause if it
+explains the visits as well as wrong link masses do, and leaves neither a contradiction nor the residual of a missing
+effect. Wrong masses of single links are another case: the unloaded arm is measured, and they are not needed. In motion
+the fit with wider link masses gives the torque of the bodies, which is compared with that of the model.
 """
 
 from __future__ import annotations
@@ -44,21 +45,14 @@ _BODY_LOG_ODDS: Final = 5.0
 _BODY_SIZE: Final = 0.1
 #: Label of that body; labels of a table do not contain the first character.
 _BODY: Final = "\x1fbody"
+_FACTOR_TEXT: Final = "all are {:.3g} times those of the model"
 #: Candidate causes, with the name of the check.
 _CAUSES: Final = {
     "axes_swapped": "exchanged torque columns or drives of two axes",
-    "torque_constants": "the unit, sign or convention of the torques of all axes (rms taken as peak: a factor of 1.41)",
+    "torque_constants": "the unit, sign, side of the gear or convention of all torques (rms taken as peak: 1.41 times)",
     "body_in_unloaded_run": "a body that was on the flange in the unloaded run (a gripper, a tool changer)",
     "link_masses": "the robot model of another arm, or wrong masses in it",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class ModelConflict:
-    """A large contradiction: why no load is given, and the failing finding, whose check is the most probable cause."""
-
-    reason: str
-    finding: Finding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,14 +66,17 @@ class _Correction:
     body_std: Floats | None = None
 
 
-def model_conflict(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge) -> ModelConflict | None:
+def model_conflict(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge) -> Finding | None:
     """Return the large contradiction between the visits and the robot model, if there is one.
+
+    It is a failing finding, whose check is the most probable cause and whose text is why no load is given.
 
     `problem` and `fit` are those with the knowledge as stated, in which link masses or constants are contradicted.
     """
     if not np.isfinite(knowledge.trust):
         return None
-    least, off = _wrong_links(robot, problem, fit, knowledge), _deviation(problem)
+    least = _wrong_links(robot, problem, fit, knowledge)
+    off = _deviation(*_unloaded_torques(problem), np.abs(np.nan_to_num(problem.rows.band_nm)))
     best, cause, most = -np.inf, None, max(MISFIT, LEFT * misfit(problem, fit))
     for correction in _corrections(robot, problem, knowledge, off):
         other, corrected = _fitted(robot, correction, knowledge)
@@ -90,11 +87,17 @@ def model_conflict(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Know
             continue
         if _wrong_links(robot, other, corrected, knowledge) < CONFLICT.log_odds:
             best, cause = gain, correction
-    if cause is not None:
-        return _reported(cause.cause, cause.text, off)
-    if int(np.sum(off > _FOREIGN)) < _FOREIGN_AXES:
-        return None
-    return _reported("link_masses", "neither one factor nor two exchanged columns explain it", off)
+    return _reported(off) if cause is None else _reported(off, cause.cause, cause.text)
+
+
+def motion_conflict(expected_nm: Floats, found_nm: Floats, friction_nm: Floats) -> Finding | None:
+    """Return the large contradiction in motion between the torques (n, N) of the bodies and those of the model.
+
+    Both are 0 where an axis is not used; `friction_nm` (N,) is the Coulomb friction.
+    """
+    off = _deviation(expected_nm, found_nm, friction_nm)
+    factor = _common_factor(expected_nm, found_nm, off)
+    return _reported(off) if factor is None else _reported(off, "torque_constants", _FACTOR_TEXT.format(factor))
 
 
 def _wrong_links(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge) -> float:
@@ -122,30 +125,36 @@ def _unloaded_torques(problem: RestProblem) -> tuple[Floats, Floats]:
     return np.where(use, problem.model.nominal @ problem.links, 0.0), np.where(use, problem.rows.sum_nm, 0.0)
 
 
-def _deviation(problem: RestProblem) -> Floats:
+def _deviation(expected_nm: Floats, measured_nm: Floats, friction_nm: Floats) -> Floats:
     """Return the deviation (N,) of the unloaded arm's torque from the model's, over the larger of both.
 
-    NaN for an axis whose gravity torque is below its friction, or a small share of the largest.
+    NaN for an axis whose torque is below its friction, or a small share of the largest.
     """
-    expected, measured = _unloaded_torques(problem)
-    size, seen, away = (np.sqrt((values**2).mean(axis=0)) for values in (expected, measured, measured - expected))
+    size, seen, away = (np.sqrt((nm**2).mean(axis=0)) for nm in (expected_nm, measured_nm, measured_nm - expected_nm))
     largest: Floats = np.maximum(size, seen)
-    least = np.maximum(_CARRIES * np.max(largest, initial=0.0), np.abs(np.nan_to_num(problem.rows.band_nm)))
+    least = np.maximum(_CARRIES * np.max(largest, initial=0.0), friction_nm)
     carries = np.asarray(largest > least)
     return np.where(carries, away / np.where(carries, largest, 1.0), np.nan)
 
 
+def _common_factor(expected_nm: Floats, measured_nm: Floats, off: Floats) -> float | None:
+    """Return the factor common to all axes that are compared, of the measured torques over the model's, if large."""
+    expected, measured = (values[:, np.isfinite(off)] for values in (expected_nm, measured_nm))
+    slope = np.sum(measured * expected, axis=0) / np.maximum(np.sum(expected**2, axis=0), 1e-12)
+    if not slope.size or (slope <= 0).any() or np.abs(np.mean(np.log(slope))) <= np.log(_FACTOR):
+        return None
+    return float(np.exp(np.mean(np.log(slope))))
+
+
 def _corrections(robot: Robot, problem: RestProblem, knowledge: Knowledge, off: Floats) -> Iterator[_Correction]:
     """Return the visits with each candidate cause corrected; `off` (N,) is the deviation of each axis."""
-    rows, axes = problem.rows, np.flatnonzero(np.isfinite(off))
+    rows = problem.rows
     torques = {name: getattr(rows, name) for name in ("sum_nm", "difference_nm", "sample_std_nm", "gear_nm")}
-    expected, measured = (values[:, axes] for values in _unloaded_torques(problem))
-    slope = np.sum(measured * expected, axis=0) / np.maximum(np.sum(expected**2, axis=0), 1e-12)
-    if len(axes) and (slope > 0).all() and np.abs(np.mean(np.log(slope))) > np.log(_FACTOR):
-        factor = float(np.exp(np.mean(np.log(slope))))
+    factor = _common_factor(*_unloaded_torques(problem), off)
+    if factor is not None:
         scaled = replace(rows, **{name: values / factor for name, values in torques.items()})
         jacobian = -len(problem.target) * float(np.log(factor))
-        yield _Correction("torque_constants", f"all are {factor:.3g} times those of the model", scaled, jacobian)
+        yield _Correction("torque_constants", _FACTOR_TEXT.format(factor), scaled, jacobian)
     for one, other in itertools.combinations(np.flatnonzero(off > 1.0 - 1.0 / _FACTOR).tolist(), 2):
         order = np.arange(problem.axes)
         order[[one, other]] = other, one
@@ -158,17 +167,23 @@ def _corrections(robot: Robot, problem: RestProblem, knowledge: Knowledge, off: 
         yield _Correction("body_in_unloaded_run", text, replace(rows, load=labels), -float(np.sum(np.log(std))), std)
 
 
-def _reported(cause: str, text: str, off: Floats) -> ModelConflict:
-    """Report a large contradiction, with the candidate causes in order."""
+def _reported(off: Floats, cause: str | None = None, text: str = "") -> Finding | None:
+    """Report a large contradiction, with the candidate causes in order; `off` (N,) is the deviation of each axis.
+
+    Without a cause that explains it, it is one if several axes deviate by a large share.
+    """
+    if cause is None:
+        if int(np.sum(off > _FOREIGN)) < _FOREIGN_AXES:
+            return None
+        cause, text = "link_masses", "neither one factor nor two exchanged columns explain it"
     axes = ", ".join(f"J{axis + 1} {100 * off[axis]:.0f} %" for axis in np.flatnonzero(np.isfinite(off)).tolist())
-    reason = f"the torques contradict the robot model: {text}"
     order = [cause, *(name for name in _CAUSES if name != cause)]
     candidates = "; ".join(f"({number}) {_CAUSES[name]}" for number, name in enumerate(order, start=1))
-    finding = Finding(
+    return Finding(
         "fail",
         "robot model",
-        f"{reason}; the unloaded arm deviates by {axes or 'an unknown share'} of its torque; no load is given",
+        f"the torques contradict the robot model: {text}; the unloaded arm deviates by {axes or 'an unknown share'} of"
+        " its torque",
         f"check in this order: {candidates}. If only the masses of the model are wrong, state --inertials ignore",
         cause,
     )
-    return ModelConflict(reason, finding)

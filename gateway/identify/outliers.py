@@ -283,7 +283,7 @@ def find_outliers(visits: Visits, robot: Robot, gravity_m_s2: ArrayLike) -> Outl
             "warn", f"J{axis + 1}",
             f"{count[axis]} visits deviate from the others, too many or too close in time for outliers: none is"
             " rejected",
-            "`diagnose` says whether a load has shifted or an effect is missing",
+            "a load may have shifted, or the model lacks an effect",
         )
         for axis in np.flatnonzero(many)
     ]  # fmt: skip

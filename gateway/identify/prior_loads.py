@@ -40,8 +40,8 @@ def unknown_labels(present: Iterable[str], known: Mapping[str, object]) -> tuple
     return tuple(label for label in labels if label != BARE_LABEL and label not in known)
 
 
-def refuse_absent(present: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:
-    """Return the labels of the rows in their order, each once; refuse a known label that is absent.
+def refuse_absent(present: Iterable[str], known: Iterable[str], files: Iterable[str] = ()) -> tuple[str, ...]:
+    """Return the labels of the rows in their order, each once; refuse a known label that is absent from the files.
 
     Raises
     ------
@@ -51,11 +51,19 @@ def refuse_absent(present: Iterable[str], known: Iterable[str]) -> tuple[str, ..
     labels = tuple(dict.fromkeys(str(label) for label in present))
     for label in known:
         if label not in labels:
-            raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(labels)}")
+            raise InputError(f"--known {label}: no row carries this load; {_held(labels, files)}")
     return labels
 
 
-def refuse_parts(present: Iterable[str], parts: Mapping[str, tuple[str, str]], known: Mapping[str, object]) -> None:
+def _held(labels: Iterable[str], files: Iterable[str]) -> str:
+    """Return the loads of the data, and the names of its files."""
+    names = ", ".join(dict.fromkeys(files))
+    return f"the data{names and f' ({names})'} hold {', '.join(labels)}"
+
+
+def refuse_parts(
+    present: Iterable[str], parts: Mapping[str, tuple[str, str]], known: Mapping[str, object], files: Iterable[str]
+) -> None:
     """Refuse a part that is not the difference of two loads of the rows, of which one is to be estimated.
 
     Raises
@@ -72,7 +80,7 @@ def refuse_parts(present: Iterable[str], parts: Mapping[str, tuple[str, str]], k
                 raise InputError(f"--part {name}: '{label}' {wrong}")
         for label in pair:
             if label not in labels:
-                raise InputError(f"--part {name}: no row carries '{label}'; the data hold {', '.join(labels)}")
+                raise InputError(f"--part {name}: no row carries '{label}'; {_held(labels, files)}")
         if name in labels:
             raise InputError(f"--part {name}: the data hold a load of this label; choose another name for the part")
         if set(pair) <= known.keys():

@@ -101,15 +101,10 @@ class Solution:
         Length of each whitened column.
     residual : array of shape (n,)
         Target less model, in the target's unit.
-    leverage : array of shape (n,)
-        Share of each row's own noise that the fit takes up, 0 to 1.
     basis : Basis
         Whitened data rows in an orthonormal basis.
-    rank : int
     misfit : float
         The minimum.
-    condition : float
-        Largest over smallest singular value of the scaled, whitened columns with their priors.
     log_determinant : float
         Of the information matrix, its determined part.
     """
@@ -119,17 +114,19 @@ class Solution:
     null: Floats
     scale: Floats
     residual: Floats
-    leverage: Floats
     basis: Basis
-    rank: int
     misfit: float
-    condition: float
     log_determinant: float
 
     @property
-    def orthogonal(self) -> Floats:
-        """The basis as an array (n, rank): the hat matrix is `orthogonal @ orthogonal.T`."""
-        return self.basis.dense
+    def rank(self) -> int:
+        """Number of parameters that rows and priors determine."""
+        return self.basis.inverse.shape[1]
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value of the scaled, whitened columns with their priors."""
+        return condition(self.basis.inverse, self.scale)
 
 
 def solve(
@@ -152,30 +149,62 @@ def solve(
     tolerance : float
         Relative size below which a singular value of the scaled columns counts as zero.
     """
-    rows = design if isinstance(design, ByGroup) else ByGroup.of(design)
-    p = rows.width
+    parts = design if isinstance(design, ByGroup) else ByGroup.of(design)
+    p = parts.width
     prior = Prior.free(p) if prior is None else prior
     held = np.flatnonzero(np.isfinite(prior.std))
-    known = np.zeros((len(held) + len(prior.rows), p + 1))
-    known[np.arange(len(held)), held] = 1.0 / prior.std[held]
-    known[: len(held), p] = prior.mean[held] / prior.std[held]
-    known[len(held) :, :p], known[len(held) :, p] = prior.rows, prior.right
-    reduced = reduce(rows, target, weight, known, tolerance)
-    value = reduced.inverse @ (reduced.left.T @ reduced.right[:-1])
-    short = reduced.right - reduced.factor @ (value * reduced.scale)
+    own = np.column_stack([np.eye(p), prior.mean])[held] / prior.std[held, None]
+    known = np.vstack([own, np.column_stack([prior.rows, prior.right])])
+    count = sum(min(len(part), len(columns) + 1) for part, columns, _ in parts.parts)
+    tall, end = np.vstack([known, np.zeros((count, p + 1))]), len(known)
+    for part, columns, values in parts.parts:
+        small = np.empty((len(part), len(columns) + 1))
+        np.multiply(values, weight[part, None], out=small[:, :-1])
+        np.multiply(target[part], weight[part], out=small[:, -1])
+        if len(part) > len(columns) + 1:
+            small = np.asarray(np.linalg.qr(small, mode="r"))
+        first, end = end, end + len(small)
+        tall[first:end, columns], tall[first:end, p] = small[:, :-1], small[:, -1]
+    scale = np.sqrt(np.einsum("ij,ij->j", tall[:, :p], tall[:, :p]))
+    scale[scale <= NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
+    tall[:, :p] /= scale
+    triangle = np.zeros((p + 1, p + 1))
+    short = np.asarray(np.linalg.qr(tall, mode="r"))
+    triangle[: len(short)] = short
+    factor, right = triangle[:p, :p], triangle[:, p]
+    size = np.abs(np.diagonal(factor))
+    sound = p > 0 and bool(size.min() > tolerance * size.max())
+    inverse = scipy.linalg.solve_triangular(factor, np.eye(p)) if sound else factor
+    along, null = right[:p], np.zeros((p, 0))
+    # the ratio of the singular values is p times the condition in the 1-norm at most: all of them count below
+    if not (sound and p * np.linalg.norm(factor, 1) * np.linalg.norm(inverse, 1) * tolerance < 1.0):
+        # Full SVD; divide and conquer fails on rare finite matrices, the slower iteration does not
+        try:
+            left, size, turned = np.linalg.svd(factor)
+        except np.linalg.LinAlgError:
+            left, size, turned = scipy.linalg.svd(factor, lapack_driver="gesvd")
+        keep = size > tolerance * size.max(initial=0.0)
+        size, inverse, null = size[keep], turned[keep].T / size[keep], turned[~keep].T / scale[:, None]
+        along = left[:, keep].T @ right[:p]
+    missed = right - triangle[:, :p] @ (inverse @ along)
+    inverse = inverse / scale[:, None]
+    value = inverse @ along
     return Solution(
         value=value,
-        covariance=reduced.inverse @ reduced.inverse.T,
-        null=reduced.null,
-        scale=reduced.scale,
-        residual=target - rows.times(value),
-        leverage=reduced.basis.leverage,
-        basis=reduced.basis,
-        rank=len(reduced.size),
-        misfit=float(short @ short),
-        condition=float(reduced.size[0] / reduced.size[-1]) if len(reduced.size) else np.inf,
-        log_determinant=float(2.0 * np.sum(np.log(reduced.size)) + 2.0 * np.sum(np.log(reduced.scale))),
+        covariance=inverse @ inverse.T,
+        null=null,
+        scale=scale,
+        residual=target - parts.times(value),
+        basis=Basis(parts, weight, inverse),
+        misfit=float(missed @ missed),
+        log_determinant=float(2.0 * np.sum(np.log(size)) + 2.0 * np.sum(np.log(scale))),
     )
+
+
+def condition(inverse: Floats, scale: Floats) -> float:
+    """Return the condition of scaled columns, from parameters per unit of a basis (p, rank) and column lengths (p,)."""
+    size = np.linalg.svd(inverse * scale[:, None], compute_uv=False)
+    return float(size[0] / size[-1]) if len(size) else np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,83 +352,11 @@ class Basis:
     @property
     def leverage(self) -> Floats:
         """Leverage (n,) of each row, 0 to 1."""
-        out = np.zeros(self.rows.count)
+        out, covariance = np.zeros(self.rows.count), self.inverse @ self.inverse.T
         for rows, columns, values in self.rows.parts:
-            own = self.inverse[columns]
-            out[rows] = self.weight[rows] ** 2 * np.einsum("ij,ij->i", values @ (own @ own.T), values)
+            spread = values @ covariance[columns[:, None], columns]
+            out[rows] = self.weight[rows] ** 2 * np.einsum("ij,ij->i", spread, values)
         return out
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reduced:
-    """Weighted columns with their prior rows, reduced to a small factor: `columns = Q factor`, scaled.
-
-    Attributes
-    ----------
-    factor : array of shape (p + 1, p)
-        Upper triangle of the scaled columns; the last row is zero.
-    right : array of shape (p + 1,)
-        `Q' right`; the last entry is what no column reaches.
-    scale : array of shape (p,)
-        Length of each weighted column.
-    size, left : arrays of shape (rank,), (p, rank)
-        Singular values of the factor that count, and their left vectors.
-    inverse : array of shape (p, rank)
-        Parameters per unit of each left vector.
-    null : array of shape (p, p - rank)
-        Directions that neither rows nor priors determine.
-    basis : Basis
-    """
-
-    factor: Floats
-    right: Floats
-    scale: Floats
-    size: Floats
-    left: Floats
-    inverse: Floats
-    null: Floats
-    basis: Basis
-
-
-def reduce(design: ByGroup, target: Floats, weight: Floats, known: Floats, tolerance: float = TOLERANCE) -> Reduced:
-    """Reduce weighted columns to a small triangular factor.
-
-    Parameters
-    ----------
-    design, target, weight, tolerance : as of `solve`
-    known : array of shape (h, p + 1)
-        Prior rows with unit standard deviation; the last column is their right-hand side.
-    """
-    p = design.width
-    squares = np.einsum("ij,ij->j", known[:, :p], known[:, :p])
-    stack = [known]
-    for rows, columns, values in design.parts:
-        part = np.empty((len(rows), len(columns) + 1))
-        np.multiply(values, weight[rows, None], out=part[:, :-1])
-        np.multiply(target[rows], weight[rows], out=part[:, -1])
-        squares[columns] += np.einsum("ij,ij->j", part[:, :-1], part[:, :-1])
-        small: Floats = np.asarray(np.linalg.qr(part, mode="r"))
-        spread = np.zeros((len(small), p + 1))
-        spread[:, columns], spread[:, p] = small[:, :-1], small[:, -1]
-        stack.append(spread)
-    scale = np.sqrt(squares)
-    scale[scale <= NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
-    tall = np.vstack(stack)
-    tall[:, :p] /= scale
-    triangle = np.zeros((p + 1, p + 1))
-    small = np.asarray(np.linalg.qr(tall, mode="r"))
-    triangle[: len(small)] = small
-    # Full SVD; divide and conquer fails on rare finite matrices, the slower iteration does not
-    factor = triangle[:p, :p]
-    try:
-        left, size, turned = np.linalg.svd(factor)
-    except np.linalg.LinAlgError:
-        left, size, turned = scipy.linalg.svd(factor, lapack_driver="gesvd")
-    keep = size > tolerance * size.max(initial=0.0)
-    inverse = turned[keep].T / size[keep] / scale[:, None]
-    null = turned[~keep].T / scale[:, None]
-    basis = Basis(design, weight, inverse)
-    return Reduced(triangle[:, :p], triangle[:, p], scale, size[keep], left[:, keep], inverse, null, basis)
 
 
 class WithNull(Protocol):

@@ -103,7 +103,7 @@ def accept(
         operator.say(f"expected standard deviation of any error: at most {resolution:.2g} of the tolerance")
         also = f" Load '{load.label}' of {load.mass_kg:.4g} kg has to be mounted. Is it mounted?"
         with context.opened(config) as opened:
-            options = begin_motion(context, (opened,), options, operator.ask, operator.say, also=also)
+            options = begin_motion(context, (opened,), options, operator, also=also)
             if not resume:
                 keep_earlier(recording, operator.say)
             with operator.progress(plan.duration_s / options.override, f"load {load.label}") as listener:

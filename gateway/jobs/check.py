@@ -83,8 +83,7 @@ def check_moving(
         what = LITTLE_MOTION + WITHHELD * proves
         if brakes:
             what += ", and each axis in turn is held by its brake alone (its drive takes over if the brake slips)"
-        ask, say = operator.ask, operator.say
-        options = begin_motion(context, (opened,), options, ask, say, what=what, also=AT_HAND, proof="own")
+        options = begin_motion(context, (opened,), options, operator, what=what, also=AT_HAND, proof="own")
         if proves:
             proof = prove_stop(opened, options)
             keep_proof(path, opened, proof)

@@ -22,7 +22,7 @@ from gateway.acquire.thermal import Block, blocks_of, bracket_of, warm_up
 from gateway.acquire.until import decide, record_until, search_of
 from gateway.acquire.until_goal import Goal, end_of
 from gateway.cell.config import ArmConfig
-from gateway.data.recording.recorded import ArmRecording, Recording
+from gateway.data.recording.recorded import Recording
 from gateway.data.table import Table
 from gateway.data.visit import RestPose
 from gateway.diagnose import close_loop
@@ -186,16 +186,15 @@ def _measuring(job: Job, operator: Operator) -> Generator[_Robot]:
     items = job.context.check(job.arm)
     operator.checked(items)
     require_passed(items, "check failed, the arm is not moved")
-    if (
-        job.arm.loading_rad is not None
-    ):  # refuse an unreachable posture before the measurement (up to an hour), not after it
+    # refuse an unreachable posture before the measurement (up to an hour), not after it
+    if job.arm.loading_rad is not None:
         destination(job.arm, workspace_of(job.arm, arm_robot(job.context.loaded, job.arm)), LOADING)
     plan = make_plan(job.context.loaded, seed=job.pose_seed, arm=job.arm.name)
     job.refuse(plan)
     operator.planned(job.arm.name, plan)
     also = flange_question(BARE_LABEL if job.begins_bare else None)
     with job.context.opened(job.arm) as opened:
-        options = begin_motion(job.context, (opened,), job.options, operator.ask, operator.say, also=also)
+        options = begin_motion(job.context, (opened,), job.options, operator, also=also)
         for path in job.outdated:
             keep_earlier(path, operator.say)
         robot = _Robot(replace(job, options=options), operator, opened, plan)
@@ -228,9 +227,13 @@ class _Robot:
     def warm_up(self) -> None:
         """Warm up until friction is steady, if requested and nothing is measured yet."""
         job = self._job
-        if job.warm_up_s and self._stored() is None:
-            path = job.recording.with_name(WARM_UP)
-            self._operator.say(warm_up(self.fit_poses, path, job.warm_up_s, self._record))
+        path = job.recording.with_name(WARM_UP)
+
+        def measure_round(poses: Sequence[RestPose]) -> None:
+            self._record(poses, path, self._earlier(path))
+
+        if job.warm_up_s and not self._known_poses():
+            self._operator.say(warm_up(self.fit_poses, path, job.warm_up_s, measure_round))
 
     def measure_load(self, block: Block) -> None:
         """Have a load mounted and measure its poses; if all are measured, only the last load is requested."""
@@ -238,13 +241,14 @@ class _Robot:
         if label != BARE_LABEL and self._job.goal is not None:
             self._measure_until(label, self._job.goal)
             return
-        missing = self._missing(block.poses)
+        earlier = self._earlier()
+        missing = self._missing(earlier, block.poses)
         if label != self._mounted and (missing or block == self._last):
             self._go_loading()
             self._operator.mount(label, self._opened)
             self._mounted = label
         if missing:
-            self._record(block.poses)
+            self._record(block.poses, self._job.recording, earlier)
 
     def _measure_until(self, label: str, goal: Goal) -> None:
         """Have a load mounted and measure until it is known; a known one is only requested if it is the last."""
@@ -267,7 +271,8 @@ class _Robot:
         self.ends.append(end_of(decision.stock, decision.verdict, label))
 
     def _known_poses(self) -> tuple[RestPose, ...]:
-        stored = self._stored()
+        earlier = self._earlier()
+        stored = None if earlier is None else earlier.arm(self._job.arm.name)
         return () if stored is None else stored.poses
 
     def _go_loading(self) -> None:
@@ -286,7 +291,7 @@ class _Robot:
             return
         slow = replace(job.options, override=min(job.options.override, SLOW_PERCENT / 100.0))
         announce(opened, target, plan, self._operator, slow)
-        ask_to_move(job.context, (opened,), self._operator.ask, f"will move to {target}")
+        ask_to_move(job.context, (opened,), self._operator, f"will move to {target}.")
         transfer(job.context, opened, target, plan, self._operator, slow)
         self._job = replace(job, options=replace(job.options, first_done=None))
 
@@ -300,8 +305,9 @@ class _Robot:
             poses = [RestPose(number, tuple(q), "fit") for number, q in zip(numbers, q_rad.tolist(), strict=True)]
             self._next += len(poses)
             self._operator.say(f"measuring {len(poses)} further poses that separate the candidate causes")
-        if self._missing(poses):
-            self._record(poses)
+        earlier = self._earlier()
+        if self._missing(earlier, poses):
+            self._record(poses, self._job.recording, earlier)
         table = self.data()[1]
         chosen = np.isin(table.pose, [pose.number for pose in poses]) & (table.load == self._load)
         return table.take(chosen)
@@ -318,17 +324,13 @@ class _Robot:
     def _earlier(self, path: Path | None = None) -> Recording | None:
         return continued(self._job.context, path or self._job.recording, resume=True)
 
-    def _stored(self) -> ArmRecording | None:
-        earlier = self._earlier()
-        return None if earlier is None else earlier.arm(self._job.arm.name)
-
-    def _missing(self, poses: Sequence[RestPose]) -> bool:
-        """Return whether a visit of these poses under the mounted load is missing in the file."""
-        stored = self._stored()
+    def _missing(self, earlier: Recording | None, poses: Sequence[RestPose]) -> bool:
+        """Return whether a visit of these poses under the mounted load is missing in the recording."""
+        stored = None if earlier is None else earlier.arm(self._job.arm.name)
         done = set() if stored is None else set(stored.done(self._load))
         return any((pose.number, side) not in done for pose in poses for side in SIDES)
 
-    def _record(self, poses: Sequence[RestPose], path: Path | None = None) -> None:
+    def _record(self, poses: Sequence[RestPose], path: Path, earlier: Recording | None) -> None:
         opened = self._opened
         plan, unreachable = plan_poses(opened.config.name, opened.workspace, poses, self._settings)
         if unreachable:
@@ -337,7 +339,7 @@ class _Robot:
                 "narrow the joint limits, or correct the surroundings of the arm in the cell file"
             )
         check_plan(plan, opened.workspace)
-        options, path = self._job.options, path or self._job.recording
+        options = self._job.options
         with self._operator.progress(plan.duration_s / options.override, f"load {self._load}") as listener:
-            record(opened, plan, self._load, path, self._earlier(path), (listener,), options)
+            record(opened, plan, self._load, path, earlier, (listener,), options)
         self._job = replace(self._job, options=replace(options, first_done=None))

@@ -65,10 +65,10 @@ def measure_timing(
     ended: Exception | None = None
     try:
         with context.opened(config) as opened, context.last_seconds(options, opened):
-            ask, say, what = operator.ask, operator.say, LITTLE_MOTION + WITHHELD
-            options = begin_motion(context, (opened,), options, ask, say, what=what, also=AT_HAND, proof="own")
+            what = LITTLE_MOTION + WITHHELD
+            options = begin_motion(context, (opened,), options, operator, what=what, also=AT_HAND, proof="own")
             try:
-                run_test(opened, axes, tested, options, context.stop_proof(config), folder, say)
+                run_test(opened, axes, tested, options, context.stop_proof(config), folder, operator.say)
             finally:
                 created = datetime.now(UTC).isoformat(timespec="seconds")
                 replace_file(folder / PAGE, render_drive_test(context.loaded.cell.name, created, list(reports)))

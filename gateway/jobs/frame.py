@@ -116,18 +116,24 @@ def flange_question(load: str | None) -> str:
     return " Is the flange empty?" if load == BARE_LABEL else ""
 
 
-def ask_to_move(context: CellContext, opened: Sequence[OpenArm], ask: Ask, what: str, also: str = "") -> None:
+def ask_to_move(
+    context: CellContext,
+    opened: Sequence[OpenArm],
+    operator: Operator,
+    what: str,
+    before: Callable[[], None] = lambda: None,
+) -> None:
     """Ask whether arms may move, after all was read that power needs; the drives are read further until the answer.
 
     Parameters
     ----------
     context : CellContext
     opened : sequence of OpenArm
-    ask : Ask
+    operator : Operator
     what : str
-        What the arms will do, after their names.
-    also : str
-        Further sentences and questions, each with a space before it.
+        What the arms will do, as a sentence that follows their names; further sentences and questions may follow it.
+    before : callable
+        Called before the question; not where an arm is refused.
 
     Raises
     ------
@@ -147,9 +153,11 @@ def ask_to_move(context: CellContext, opened: Sequence[OpenArm], ask: Ask, what:
     names = " and ".join(f"'{each.config.name}'" for each in opened)
     arms = f"Arm {names}" if len(opened) == 1 else f"Arms {names}"
     # one arm of a pair moves alone only where no part holds it
-    grippers = " Are both grippers open?" if len(opened) == 1 and context.loaded.cell.pair is not None else ""
+    cell = context.loaded.cell
+    grippers = " Are both grippers open?" if len(opened) == 1 and cell.pair is not None else ""
+    before()
     try:
-        ask(f"{arms} of cell '{context.loaded.cell.name}' {what}.{also}{grippers} Is the area clear of people?", attend)
+        operator.ask(f"{arms} of cell '{cell.name}' {what}{grippers} Is the area clear of people?", attend)
     except BaseException as error:
         error.add_note(NOT_STARTED)
         raise
@@ -159,8 +167,7 @@ def begin_motion(
     context: CellContext,
     opened: Sequence[OpenArm],
     options: MoveOptions,
-    ask: Ask,
-    say: Callable[[str], None],
+    operator: Operator,
     *,
     what: str = "will move",
     also: str = "",
@@ -174,11 +181,11 @@ def begin_motion(
     opened : sequence of OpenArm
         Connected and configured, brakes on.
     options : MoveOptions
-    ask : Ask
-    say : callable
-        Shows a remark.
-    what, also
-        As `ask_to_move`.
+    operator : Operator
+    what : str
+        What the arms will do, after their names.
+    also : str
+        Further sentences and questions, each with a space before it.
     proof : str
         'made': the stop of the drives is proven first, unless a proof is stored that is valid. 'stored': without one
         nothing moves, because two arms hold one part. 'own': the command itself proves the stop, and says so in `what`.
@@ -200,8 +207,7 @@ def begin_motion(
     if proof == "stored" and new:  # no short motion tries two arms that hold a part: the whole command is slow
         options = replace(options, override=min(FIRST_SHARE, options.override))
         also = FIRST_MOTION.format(share=options.override) + also
-    options.before_question()
-    ask_to_move(context, opened, ask, what, also)
+    ask_to_move(context, opened, operator, f"{what}.{also}", options.before_question)
     for each in opened:
         options = with_held_input(each, options)
         options.desk.watch(frame_log_watched(each))
@@ -209,10 +215,10 @@ def begin_motion(
         for path, each in arms:
             proven = proven_on(path, each, options.override)
             if proven is not None:
-                say(f"drives stop on loss of the master: proven {proven}")
+                operator.say(f"drives stop on loss of the master: proven {proven}")
                 continue
             with context.last_seconds(options, each):
-                prove_now(each, path, say, options)
+                prove_now(each, path, operator.say, options)
 
     def note() -> None:
         for path, each in new:

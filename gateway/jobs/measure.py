@@ -88,7 +88,7 @@ def move(
     with context.opened(config) as opened:
         plan = plan_transfer(opened, target)
         announce(opened, target, plan, operator, options)
-        options = begin_motion(context, (opened,), options, operator.ask, operator.say)
+        options = begin_motion(context, (opened,), options, operator)
         transfer(context, opened, target, plan, operator, options)
         return target, opened.group.gate()
 
@@ -164,7 +164,7 @@ def record(
         plan = plan_of_recording(loaded, earlier, config.name)
     operator.planned(config.name, plan)
     with context.opened(config, trace=trace) as opened:
-        options = begin_motion(context, (opened,), options, operator.ask, operator.say, also=flange_question(load))
+        options = begin_motion(context, (opened,), options, operator, also=flange_question(load))
         with operator.progress(plan.duration_s / options.override, f"load {load}") as listener:
             return record_plan(opened, plan, load, recording, earlier, (listener,), options, again=bool(numbers))
 
@@ -204,7 +204,7 @@ def record_until_known(
     search = search_of(context.loaded, workspace, config, load, goal, recording, earlier, model, apart_rad)
     operator.planned(config.name, search)
     with context.opened(config, trace=trace) as opened:
-        options = begin_motion(context, (opened,), options, operator.ask, operator.say, also=flange_question(load))
+        options = begin_motion(context, (opened,), options, operator, also=flange_question(load))
         with operator.progress(1.0, f"load {load}") as listener:
             return record_until(opened, search, recording, earlier, (listener,), options)
 
@@ -263,6 +263,6 @@ def record_moving(
     operator.planned(config.name, passes)
     also, what = flange_question(load), "will move fast"
     with context.opened(config, trace=trace) as opened:
-        options = begin_motion(context, (opened,), options, operator.ask, operator.say, what=what, also=also)
+        options = begin_motion(context, (opened,), options, operator, what=what, also=also)
         with operator.progress(sum(one.duration_s for one in passes), f"load {load}") as listener:
             return record_passes(opened, chosen, load, recording, earlier, (listener,), options)

@@ -49,7 +49,7 @@ class LoadBounds:
             measured, so that the likely unit is that of the torque.
         """
         if mass_kg - np.nan_to_num(margin_kg) > self.mass_kg:
-            unit = "grams" if margin_kg == 0.0 else "torque in mNm"
+            unit = "grams" if margin_kg == 0.0 else "torque of the joint mapped as taum instead of tau? torque in mNm"
             return (
                 f"{mass_kg:.6g} kg is beyond {self.mass_kg:.4g} kg ({self.mass_source}): {unit}? that is"
                 f" {mass_kg / 1000:.4g} kg"

@@ -8,7 +8,8 @@ this prediction, so it contains modelled torque only, never measured torque.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,7 @@ class AlteredModel:
     band_gain: Floats
     gain_per_nm: Floats
     pull_n: Floats
-    knees: tuple[tuple[int, float, float], ...] = ()
+    knees: tuple[tuple[int, Floats | float, Floats | float], ...] = ()
     hoses: tuple[tuple[int, Floats], ...] = ()
     slosh: tuple[tuple[float, Floats], ...] = ()
 
@@ -276,14 +277,27 @@ class Model:
         load : array of shape (n, 4), the load's [m, hx, hy, hz] at each visit
         band_nm : array of shape (N,), mean friction against the direction of approach
         """
+        return self.readings(setting, self._transmitted(setting, links, load), band_nm)
+
+    def predict_each(
+        self, settings: Sequence[AlteredModel], links: Floats, load: Floats, band_nm: Floats
+    ) -> Prediction:
+        """Return the modelled readings (settings, n, N) of several settings; the other parameters as of `predict`."""
+        torque = np.stack([self._transmitted(setting, links, load) for setting in settings])
+        return self.readings(together(settings), torque, band_nm)
+
+    def _transmitted(self, setting: AlteredModel, links: Floats, load: Floats) -> Floats:
+        """Return the torque (n, N) that the gears transmit."""
         bodies = self.bodies(setting, links, load)
         if setting.compliance_rad_nm.any():
-            bent = self._wound_up(self._without_play(setting, bodies), bodies)
-            return self.readings(setting, bent.torque, band_nm)
-        return self.readings(setting, self.joint_torque(setting, bodies)[0], band_nm)
+            return self._wound_up(self._without_play(setting, bodies), bodies).torque
+        return self.joint_torque(setting, bodies)[0]
 
     def readings(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Prediction:
-        """Return the readings for the torque (n, N) that the gears transmit."""
+        """Return the readings (..., n, N) for the torque (..., n, N) that the gears transmit.
+
+        Torque, band and the nuisance parameters of the setting may have leading axes: several models at once.
+        """
         two = self.rows.two_sided[:, None]
         band = band_nm * setting.band_gain
         friction = band + setting.load_friction * np.abs(torque) + self._lost_in_gear(setting, torque, band)
@@ -292,8 +306,8 @@ class Model:
         carried, torque = torque, torque + setting.bias_nm + uneven + self._left_by_gear(setting, torque, band)
         if self._straight(setting):
             # the gear and its conversion cancel: each side reads torque and friction as they are
-            middle = (setting.gain * torque + setting.offset_nm) @ setting.coupling.T
-            half = (setting.gain * friction) @ setting.coupling.T
+            middle = (setting.gain * torque + setting.offset_nm) @ np.swapaxes(setting.coupling, -1, -2)
+            half = (setting.gain * friction) @ np.swapaxes(setting.coupling, -1, -2)
             up, down = middle + half, middle - half
         else:
             up = self._side(setting, torque, friction, 1.0)
@@ -339,9 +353,9 @@ class Model:
             gain = gain + setting.gain_per_nm * np.abs(motor)
         read = gain * motor + setting.offset_nm
         for axis, knee_nm, more in setting.knees:
-            beyond = np.maximum(np.abs(motor[:, axis]) - knee_nm, 0.0)
-            read[:, axis] += more * beyond * np.sign(motor[:, axis])
-        seen = read @ setting.coupling.T
+            beyond = np.maximum(np.abs(motor[..., axis]) - knee_nm, 0.0)
+            read[..., axis] += more * beyond * np.sign(motor[..., axis])
+        seen = read @ np.swapaxes(setting.coupling, -1, -2)
         return gears.behind(seen, direction)
 
     def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:
@@ -352,11 +366,24 @@ class Model:
             left = left + setting.bias_share * _symmetric_loss(setting) * np.sign(torque)
             return setting.coupling[None] * (setting.gain * left)[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
-        mixed, slopes = self.mixes(setting), list[Floats]()
-        for shift in np.diag(step) if mixed else step[None]:
-            above, below = (self.readings(setting, torque + side * shift, band_nm).sum_nm for side in (1.0, -1.0))
-            slopes.append((above - below) / 2.0)
-        return np.stack(slopes, axis=2) / step if mixed else slopes[0][:, :, None] * np.diag(1.0 / step)
+        shifts = np.diag(step) if self.mixes(setting) else step[None]
+        above, below = self.readings(setting, torque + np.stack([shifts, -shifts])[:, :, None], band_nm).sum_nm
+        slopes = (above - below).transpose(1, 2, 0) / 2.0
+        return slopes / step if len(shifts) == len(step) else slopes * np.diag(1.0 / step)
+
+
+def together(settings: Sequence[AlteredModel]) -> AlteredModel:
+    """Return several settings as one for `readings`: fields in which they differ, and knees, have a leading axis."""
+    first, stacked = settings[0], {}
+    for field in fields(first):
+        values = [getattr(setting, field.name) for setting in settings]
+        if isinstance(values[0], np.ndarray) and any(value is not values[0] for value in values):
+            stacked[field.name] = np.stack(values).reshape(len(values), -1, values[0].shape[-1])
+    knees = [
+        (bends[0][0], *np.array([bend[1:] for bend in bends]).T[:, :, None])
+        for bends in zip(*(setting.knees for setting in settings), strict=True)
+    ]
+    return replace(first, knees=tuple(knees), **stacked)
 
 
 def _symmetric_loss(setting: AlteredModel) -> Floats:

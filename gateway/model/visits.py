@@ -321,23 +321,27 @@ def _matched(
     rest: Table, members: list[int], opposite: Callable[[Mask, Mask], Mask]
 ) -> tuple[list[tuple[int, int]], list[int]]:
     """Return row pairs at the same angles that `opposite` accepts, in time order; and the unpaired rows."""
-    order = np.array(sorted(members, key=lambda row: (np.nan_to_num(rest.time_s[row]), row)), dtype=int)
+    if len(members) < 2:
+        return [], members
+    order = np.array(members, dtype=int)
+    order = order[np.lexsort((order, np.nan_to_num(rest.time_s[order])))]
     waiting = np.ones(len(order), dtype=bool)
     pairs: list[tuple[int, int]] = []
     alone: list[int] = []
-    for place, row in enumerate(order):
+    for place, row in enumerate(order.tolist()):
         if not waiting[place]:
             continue
         waiting[place] = False
         others = order[waiting]
-        fits = opposite(rest.direction[row], rest.direction[others])
         away = np.abs(rest.q_rad[others] - rest.q_rad[row]).max(axis=1, initial=0.0)
-        fits &= away < SAME_POSE_RAD
+        near = away < SAME_POSE_RAD
+        others, away = others[near], away[near]
+        fits = opposite(rest.direction[row], rest.direction[others]) if len(others) else near[:0]
         if not fits.any():
-            alone.append(int(row))
+            alone.append(row)
             continue
         # rows of one pose in the order of time; of a sweep, which has no poses, those of the same angle
         partner = int(np.argmin(np.where(fits, away, np.inf))) if opposite is _one_reversed else int(np.argmax(fits))
-        pairs.append((int(row), int(others[partner])))
-        waiting[np.flatnonzero(waiting)[partner]] = False
+        pairs.append((row, int(others[partner])))
+        waiting[order == others[partner]] = False
     return pairs, alone

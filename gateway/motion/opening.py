@@ -17,7 +17,6 @@ from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.pdo import Offsets
 from drives.profile import DriveProfile
-from drives.profile_file import find_profile
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
@@ -130,7 +129,7 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
     return tuple(
         AxisSetup(
             axis.node_id,
-            find_profile(axis.profile, loaded.folder),
+            loaded.profile(axis.profile),
             axis.torque_constant_nm_per_a.value,
             float(speed),
             position_limit_rad=limit,

@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drives.errors import ProfileError
 from gateway.cell.calibration import ArmCalibration, CalibratedAxis
 from gateway.cell.config import ArmConfig
 from gateway.data.labels import BARE_LABEL
@@ -27,7 +26,7 @@ from gateway.identify.drift import drift_findings, drift_of
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.nuisance import COMMON_SHARE, day_std, gain_stds
 from gateway.identify.outliers import without_outliers
-from gateway.identify.prior_loads import load_vector, require_postures
+from gateway.identify.prior_loads import load_vector, refuse_absent, require_postures
 from gateway.identify.rest.hypothesis_fit import fit_to_report
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.problem import build_problem
@@ -37,7 +36,7 @@ from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits
 from gateway.pipeline.calibrated import serial_numbers
 from gateway.pipeline.finalize import data_findings
-from gateway.pipeline.inputs import AnalysisInputs, profile_of
+from gateway.pipeline.inputs import AnalysisInputs, profile_of, uses_torque_constant
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
@@ -347,6 +346,7 @@ def calibrate(
     robot, arm = about.model, about.arm
     if arm is None:
         raise ConfigError("calibrate needs the cell file, whose torque constants it measures")
+    refuse_absent(table.load, [weight.label], table.file)
     knowledge = replace(about.knowledge, link_std=np.inf, bare=None)
     found = pair_visits(table.take(~table.moving), knowledge.efficiency, knowledge.coupling)
     visits, rejected = without_outliers(found, robot, knowledge.gravity_m_s2)
@@ -404,11 +404,6 @@ def _axes(
     find = profile_of(about.recordings, about.loaded)
     for at in np.flatnonzero(np.isfinite(std)):
         config = arm.axis[at]
-        try:
-            used = find(config.profile).needs_torque_constant
-        except ProfileError:
-            # a table needs no drive profile; its torque was computed elsewhere, with this constant
-            used = True
         scale, own = 1.0 / (1.0 + gain[at]), std[at] / (1.0 + gain[at])
         value = config.torque_constant_nm_per_a.value
         yield AxisCalibration(
@@ -419,7 +414,7 @@ def _axes(
             is_known=bool(own <= LARGEST_SHARE * stated[at]),
             deviation=float((scale - 1.0) / np.hypot(own, stated[at])),
             load_nm=float(load_nm[at]),
-            constant_nm_per_a=float(scale * value) if used else None,
+            constant_nm_per_a=float(scale * value) if uses_torque_constant(config, find) else None,
             stated_nm_per_a=value,
         )
 

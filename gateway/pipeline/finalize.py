@@ -22,7 +22,7 @@ from gateway.data.recording.reader import FINISHED
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table, is_recording
 from gateway.identify.load_estimate import load_result, refused_findings, refused_load
-from gateway.identify.prior_loads import unknown_labels
+from gateway.identify.prior_loads import BARE_LABEL
 from gateway.pipeline.inputs import AnalysisInputs, profile_of
 from gateway.pipeline.torque_size import constant_torques
 from gateway.report.collect import drawn_poses, flange_spread
@@ -361,8 +361,8 @@ def check_against_data(expected: Sequence[Expected], tables: Iterable[Table], ab
     InputError
         The data lack a load; the message names its label.
     """
-    present = [str(label) for table in tables for label in table.load]
-    check_expected(expected, (*unknown_labels(present, about.knowledge.known), *about.knowledge.parts))
+    present = {str(label) for table in tables for label in table.load}
+    check_expected(expected, (*sorted(present - {BARE_LABEL, *about.knowledge.known}), *about.knowledge.parts))
 
 
 def accept(result: Result, expected: Sequence[Expected], arm: ArmConfig | None) -> Result:

@@ -268,15 +268,18 @@ def constants_std(
 
 def _constant_std(axis: AxisConfig, profile: Callable[[str], DriveProfile], of_current: bool) -> float:
     constant = axis.torque_constant_nm_per_a
-    if constant.std_percent is None and not of_current:
-        try:
-            used = profile(axis.profile).needs_torque_constant
-        except ProfileError:
-            # a table needs no drive profile; its torque was computed before, with this constant
-            used = True
-        if not used:
-            return REPORTED_STD_PERCENT / 100.0
+    if constant.std_percent is None and not of_current and not uses_torque_constant(axis, profile):
+        return REPORTED_STD_PERCENT / 100.0
     return constant.trust_percent / 100.0
+
+
+def uses_torque_constant(axis: AxisConfig, profile: Callable[[str], DriveProfile]) -> bool:
+    """Return whether the torque of an axis was computed with the constant of the cell file."""
+    try:
+        return profile(axis.profile).needs_torque_constant
+    except ProfileError:
+        # a table needs no drive profile; its torque was computed before, with this constant
+        return True
 
 
 def profile_of(recordings: Sequence[Recording], loaded: LoadedCell | None) -> Callable[[str], DriveProfile]:
@@ -288,13 +291,12 @@ def profile_of(recordings: Sequence[Recording], loaded: LoadedCell | None) -> Ca
         When called: the profile is unreadable or missing.
     """
     texts = recordings[0].profiles if recordings else {}
-    folder = loaded.folder if loaded is not None else Path()
 
     @cache  # a profile with a data sheet takes a while to read, and all axes may have the same one
     def find(name: str) -> DriveProfile:
         if name in texts:
             return parse_profile(texts[name], name)
-        return find_profile(name, folder)
+        return find_profile(name, Path()) if loaded is None else loaded.profile(name)
 
     return find
 

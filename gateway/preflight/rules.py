@@ -17,7 +17,6 @@ from drives.cia402 import FAULTED, FOLLOWING, INTERNAL_LIMIT, Mode, State, decod
 from drives.emcy import code_class
 from drives.objects import OBJECTS, object_name
 from drives.profile import NO_RESOLUTION, Constant, DriveProfile, Reader, resolution
-from drives.profile_file import find_profile
 from drives.values import Identity
 from gateway.cell.config import ArmConfig, AxisConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
@@ -459,7 +458,7 @@ def refuse_beyond_counts(loaded: LoadedCell, arm: ArmConfig) -> None:
         A profile cannot be read.
     """
     for joint, axis in enumerate(arm.axis, start=1):
-        counts = find_profile(axis.profile, loaded.folder).position.counts_per_revolution
+        counts = loaded.profile(axis.profile).position.counts_per_revolution
         said = beyond_counts(arm, joint, counts.value) if isinstance(counts, Constant) else None
         if said is not None:
             raise PlanRefused(f"arm '{arm.name}', J{joint} node {axis.node_id}: {said}; {_NARROW}")

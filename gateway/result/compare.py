@@ -202,7 +202,7 @@ def compare(
         remarks.append("both files are the same result")
     shared = shared_rows(before.data_roles, after.data_roles)
     if shared["all"]:
-        remarks.append("both results are of the same data: the comparison shows how they were evaluated, no change")
+        remarks.append("both results are of the same data: what differs is the evaluation, not the arm or the load")
     elif both := {**shared["visits"], **shared["moving_samples"]}:
         counts = ", ".join(f"{count} under load {label}" for label, count in both.items())
         remarks.append(f"{names[0]} and {names[1]} share measured data ({counts}); a shared unloaded arm is usual")

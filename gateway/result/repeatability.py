@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -24,6 +25,7 @@ from scipy.special import gammaincinv
 
 from gateway.errors import InputError
 from gateway.result.compare import CANNOT_TELL, FALSE_ALARM, refuse_other_arms, shared_errors
+from gateway.result.data_roles import shared_rows
 from gateway.result.result import LoadResult, Result
 from gateway.result.values import numbers, plain_values
 
@@ -125,15 +127,15 @@ def repeatability(results: Sequence[Result], names: Sequence[str]) -> Repeatabil
     Raises
     ------
     InputError
-        Fewer than two results, of different arms, a result given twice, or no load that two of them hold.
+        Fewer than two results, of different arms, two of the same data, or no load that two of them hold.
     """
     if len(results) < FEWEST:
         raise InputError(f"{len(results)} result: at least {FEWEST} repetitions are needed for a spread")
-    seen: dict[str, str] = {}
     for result, name in zip(results, names, strict=True):
         refuse_other_arms(results[0], result, (names[0], name))
-        if result.sha256 is not None and (other := seen.setdefault(result.sha256, name)) is not name:
-            raise InputError(f"{other} and {name} are the same result: give each repetition once")
+    for (one, other), files in zip(combinations(results, 2), combinations(names, 2), strict=True):
+        if None is not one.sha256 == other.sha256 or shared_rows(one.data_roles, other.data_roles)["all"]:
+            raise InputError(f"{' and '.join(files)} are of the same data: give each repetition once")
     labels = dict.fromkeys(load.label for result in results for load in result.loads)
     series = [series for label in labels for series in _series(results, label)]
     if not series:

@@ -307,13 +307,6 @@ RESULTS: list[tuple[str, Sequence[str], int, str, Make]] = [
     ("two loads of one name", EXPORT, 6, "get equal names in the file", loads(("a", 2.0), ("a", 3.0))),
     ("of another robot beside it", COMPARE, 3, "only results of one arm are compared", and_another(robot="other")),
     ("of nothing beside it", COMPARE, 3, "hold no quantity in common", and_another(loads=[])),
-    (
-        "for a folder that is not there",
-        (*REPORT, "--json", "new/r.json"),
-        3,
-        "the folder new does not exist: create it",
-        result(),
-    ),
     ("for a command misspelt", ("exprot", "out.json"), 2, "Did you mean .*export", result()),
     ("for an option misspelt", ("export", "--fromat", "json", "out.json"), 2, "Did you mean .*--format", result()),
     ("as if it were a recording", ("export", "out.json", "--format", "csv"), 2, "csv is for a recording", result()),

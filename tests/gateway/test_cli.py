@@ -314,11 +314,3 @@ def test_a_misspelled_command_or_option_is_answered_with_similar_names(words, sa
     done = CliRunner().invoke(main, list(words))
     assert done.exit_code == 2
     assert says in done.output
-
-
-def test_no_folder_is_made_for_a_result(tmp_path):
-    target = tmp_path / "new" / "folder" / "r.json"
-    done = CliRunner().invoke(main, ["plan", "cell.toml", "--json", str(target)])
-    assert done.exit_code == 3
-    assert f"the folder {target.parent} does not exist" in done.output
-    assert not (tmp_path / "new").exists()

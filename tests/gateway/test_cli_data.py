@@ -231,7 +231,7 @@ def test_the_measured_data_load_of_21_kg_is_recomputed_and_the_one_of_70_kg_refu
     assert all(20.9 <= mass <= 21.4 for mass in a["per_pose_mass_kg"].values())
     assert len(a["per_pose_mass_kg"]) == 10
     assert a["mass_kg"] == pytest.approx(21.06, abs=0.01)
-    assert (a["inertia_kg_m2"], a["unidentifiable"]) == (None, ["com_x_m", "com_y_m", "com_z_m"])
+    assert (a["inertia_kg_m2"], a["unidentifiable"]) == (None, ["com_x_m", "com_y_m", "com_z_m", "inertia_kg_m2"])
     assert b["mass_kg"] is None
     assert "rated" in b["refused"]
     assert "9, 10" in b["refused"]

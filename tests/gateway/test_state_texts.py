@@ -28,6 +28,7 @@ SAID = {
     ("gateway/jobs/calibrate.py", "; nothing has moved"),
     ("gateway/commands/cell.py", "nothing was written: the line numbers refer to the draft"),
     ("gateway/commands/config.py", "nothing was written to the drives of"),
+    ("gateway/jobs/configure.py", "nothing was written to the drives of"),
     ("gateway/jobs/frame.py", "By this command nothing has moved since the question"),
     ("gateway/check/moves.py", "small moves were stopped: "),
     ("gateway/follow/path_run.py", "the arm was stopped"),

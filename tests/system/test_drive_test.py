@@ -35,7 +35,7 @@ def tested(gateway, place, serve):
 
 @pytest.mark.slow
 def test_a_good_drive_has_no_finding_and_a_page(tested):
-    _, reports, out, drives = tested("--axis", "J2", "--axis", "J3")
+    _, reports, out, drives = tested("--axis", "j2", "--axis", "J3")
     assert list(reports) == ["J2", "J3"]
     report = reports["J2"]
     assert (report["format"], report["version"], report["node"]) == ("servo-gateway drive-test", 1, 2)

@@ -101,8 +101,12 @@ class FrameLog:
 
 @contextmanager
 def _open_log(path: Path, again: bool) -> Generator[Any]:
-    """Open a frame log in the process that writes (a kind of `Disk.open`); one that was cut off is not continued."""
+    """Open a frame log in the process that writes (a kind of `Disk.open`); one that was cut off is not continued.
+
+    Its folder is made if need be.
+    """
     if again:
         raise OSError(errno.EPIPE, ENDED)
+    path.parent.mkdir(parents=True, exist_ok=True)
     with open_log(path) as log:
         yield log

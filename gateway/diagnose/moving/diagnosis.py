@@ -29,7 +29,7 @@ from gateway.diagnose.wind_up import design_of, elastic, wind_up
 from gateway.errors import DataUnusable
 from gateway.identify.knowledge import EXACT, Knowledge
 from gateway.identify.links import has_inertials
-from gateway.identify.prior_loads import BARE_LABEL, unknown_labels
+from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.spread import counting_share
 from gateway.model.effects import LIBRARY
 from gateway.model.motion import Mask, MovingRows
@@ -69,7 +69,6 @@ def diagnose_motion(
     delay_s, known = lags(table, robot, knowledge), knowledge.known
     gravity_m_s2 = np.asarray(knowledge.gravity_m_s2)
     motion = prepare_in_step(table, holdout, robot, gravity_m_s2, delay_s)
-    unknown_labels(np.unique(motion.load), known)
     motion = _predictable(motion, known)
     allowed = (only or frozenset(LIBRARY)) - without
     if "current_rms_peak" in only - without:

@@ -121,7 +121,8 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
         *outcome.wound,
         *(_effect(*outcome.reported, item, _tried(outcome)) for item in outcome.effects),
     )
-    doubtful = outcome.doubtful
+    contradicted = any(finding.severity == "fail" for finding in answer.findings)
+    effects, doubtful = ((), ()) if contradicted else (effects, outcome.doubtful)
     undecided = bool(doubtful) and not effects
     if undecided:
         effects = tuple(part for item in doubtful for part in _rivals(outcome, item))
@@ -130,7 +131,7 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
     return Result(
         robot=problem.motion.robot.name,
         loads=answer.loads,
-        verdict=_verdict(outcome, undecided, bool(effects)),
+        verdict="unexplained" if contradicted else _verdict(outcome, undecided, bool(effects)),
         effects=effects,
         before=_summary(before, outcome.held_before, plain),
         after=_summary(after, outcome.held_after, answer),

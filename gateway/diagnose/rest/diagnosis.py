@@ -42,7 +42,6 @@ from gateway.diagnose.rest.rest_outcome import (
     contradicted,
     corrected_links,
     factor_rival,
-    floor_and_band,
     limits,
     mistake_effect,
     mistake_findings,
@@ -54,11 +53,11 @@ from gateway.diagnose.rest.rest_outcome import (
 from gateway.diagnose.rest.rest_plots import pictures
 from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
 from gateway.diagnose.rest.search import Search, run
-from gateway.diagnose.rest.verdict import Decision, decide, without_names
+from gateway.diagnose.rest.verdict import Decision, decide, noise_floor, without_names
 from gateway.errors import DataUnusable
 from gateway.estimate import to_result
 from gateway.estimate.estimate import bare_of
-from gateway.estimate.handover import reversed_signs
+from gateway.estimate.handover import MISFIT, reversed_signs
 from gateway.estimate.joint import estimate_joint
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies, without_placeholder
 from gateway.identify.knowledge import Knowledge
@@ -77,7 +76,8 @@ from gateway.model.robot import Robot
 from gateway.model.unnamed import unnamed_terms
 from gateway.model.visits import Visits, joined, pair_visits
 from gateway.result.data_roles import CHOSEN_ON, FIT, HELD_ROLE, VALIDATION
-from gateway.result.result import EffectResult, Finding, FitSummary, HoldoutKind, Result, Verdict
+from gateway.result.result import EffectResult, Finding, FitSummary, HoldoutKind, LoadResult, Result, Verdict
+from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
@@ -241,7 +241,7 @@ class RestDiagnosis:
             found = replace(found, search=search, chosen=self._chosen(search, found.setup))
         effects, search = found.chosen.terms, found.search
         likelier = not effects or settled.log_odds > search.log_odds(found.chosen, found.now.plain)
-        if settled.conflict is not None and (likelier or settled.conflict.finding.check != "link_masses"):
+        if settled.conflict is not None and (likelier or settled.conflict.check != "link_masses"):
             return replace(found, conflict=settled)
         if not (likelier or settled.knowledge.stated_loads != self.knowledge.stated_loads):
             return found
@@ -308,26 +308,25 @@ class RestDiagnosis:
         ratio = unseen_ratio(held, read.search.fitted(()), undone, found.search.fitted(()))
         return found if ratio < 1.0 else read
 
-    def _before(self, decision: Decision, judge: Judge, found: Found, sided: bool) -> FitSummary:
-        """Residuals and loads of the model without effects on the uncorrected data."""
+    def _before(
+        self, decision: Decision, judge: Judge, found: Found, sided: bool, loads: tuple[LoadResult, ...] | None
+    ) -> FitSummary:
+        """Residuals and loads of the model without effects on the uncorrected data; `loads` of the fit, if known."""
+        problem, before = judge.problem, decision.before
         second = np.isfinite(found.search.problem.rows.wind_up_rad).any()
-        if not (found.mistakes or second or sided):
-            return self._summary(judge.problem, decision.before, judge)
-        table = found.read.table
-        table = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
-        if sided:
-            table = replace(table, direction=np.zeros_like(table.direction))
-        problem = self.problem(table, found.read.rejected)
-        return self._summary(problem, fit_without_effects(problem), Judge(problem, None))
-
-    def _summary(self, problem: RestProblem, fitted: Fit, judge: Judge) -> FitSummary:
-        """Residuals and loads of a fit without effects."""
-        return summary(problem, fitted, judge, loads_of(problem, with_place_effects(fitted), self.robot))
+        if found.mistakes or second or sided:
+            table = found.read.table
+            table = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
+            if sided:
+                table = replace(table, direction=np.zeros_like(table.direction))
+            problem = self.problem(table, found.read.rejected)
+            judge, before, loads = Judge(problem, None), fit_without_effects(problem), None
+        return summary(problem, before, judge, loads or loads_of(problem, with_place_effects(before), self.robot))
 
     def _as_estimated(self, visits: Visits, settled: SettledKnowledge | None) -> Result:
         """Return the result of `estimate`, for the case that no effect is named."""
-        found = estimate_joint(visits, self.robot, self.stated, settled)
-        return to_result(found, self.robot, self.stated)
+        found = to_result(estimate_joint(visits, self.robot, self.stated, settled), self.robot, self.stated)
+        return replace(found, findings=tuple(each for each in found.findings if each.check != MISFIT))
 
     def refusal(self, read: ReadVisits) -> Result | None:
         """Return the result of `estimate` if the mass under a label changes or gravity is reversed; else None.
@@ -373,25 +372,30 @@ class RestDiagnosis:
             verdict = MORE[verdict]
         if found.rival is not None and any(effect.joints == found.rival.joints for effect in effects):
             effects, verdict = [*effects, found.rival], "undecided"
-        before = self._before(decision, judge, found, bool(by_direction))
-        by_shape = spread_by_shape(decision.after, search.other_shapes(decision.after))
-        last_problem, last = problem, decision.after
-        if held is not None and kind == "fresh" and not findings:
-            # what the proof has confirmed is estimated from all visits, those of the proof included
-            last_problem, last = held.problem, fit(held.problem, last.terms, last.noise, last)
-            held_role = FIT
-        last = with_place_effects(last)
-        after = summary(problem, decision.after, judge, loads_of(last_problem, last, self.robot, by_shape))
-        if last_problem is not problem and decision.after is decision.before and not found.mistakes:
-            before = replace(before, loads=after.loads)
-        bare = None if found.mistakes else bare_of(last_problem, last, self.robot, self.stated)
-        if not effects and not found.mistakes and decision.after is decision.before:
+        alone = decision.after is decision.before and not found.mistakes
+        # what the proof has confirmed is estimated from all visits, those of the proof included
+        last = held if held is not None and kind == "fresh" and not findings else None
+        last_problem = problem if last is None else last.problem
+        if alone and not effects:
             judged, tested = (problem, settled) if held is None or kind != "fresh" else (held.problem, None)
             estimated = self._as_estimated(judged.rows, tested)
-            before, after = replace(before, loads=estimated.loads), replace(after, loads=estimated.loads)
-            bare = estimated.bare
+            loads, bare, band = estimated.loads, estimated.bare, estimated.friction_band_nm
             findings += [each for each in estimated.findings if each.severity == "fail" and each.check != REFUSED]
-        floor, band = floor_and_band(problem, decision)
+        else:
+            fitted = decision.after
+            band = numbers(fitted.friction_band_nm)
+            by_shape = spread_by_shape(fitted, search.other_shapes(fitted))
+            if last is not None:
+                fitted = fit(last_problem, fitted.terms, fitted.noise, fitted)
+            fitted = with_place_effects(fitted)
+            loads = loads_of(last_problem, fitted, self.robot, by_shape)
+            bare = None if found.mistakes else bare_of(last_problem, fitted, self.robot, self.stated)
+        after = summary(problem, decision.after, judge, loads)
+        before = self._before(decision, judge, found, bool(by_direction), loads if alone else None)
+        if alone and (last is not None or not effects):
+            before = replace(before, loads=loads)
+        held_role = held_role if last is None else FIT
+        floor = noise_floor(problem, decision)
         formula = candidate_formula(formulas, judge, self.robot) if formulas else None
         findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += (*self.placeholder, *(settled.findings if settled else ()), *found.read.outliers.findings)
@@ -412,7 +416,7 @@ class RestDiagnosis:
             before=before,
             after=after,
             holdout_kind="blocks" if held is None else kind,
-            noise_floor_nm=floor,
+            noise_floor_nm=numbers(floor),
             friction_band_nm=band,
             rejected=tuple(rejected(search, decision)),
             formula=None if formula is None else formula.result,
@@ -422,8 +426,7 @@ class RestDiagnosis:
             findings=tuple(dict.fromkeys(findings)),
             nuisance=nuisance_results(problem, decision.after),
             set_aside=found.read.outliers.entries + (() if held is None else held.rejected),
-            quality=structure_seen_nm(problem, decision.full, np.array(floor))
-            | fresh_seen_nm(problem, held, decision.after),
+            quality=structure_seen_nm(problem, decision.full, floor) | fresh_seen_nm(problem, held, decision.after),
             provenance={
                 "visits": len(problem.rows),
                 "poses": len(np.unique(problem.rows.pose)),

@@ -16,7 +16,8 @@ from scipy.special import chdtrc, chdtri, fdtrc, fdtri
 from gateway.diagnose.rest.residual_structure import detectable_sizes, pooled
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.screen import Screen
-from gateway.identify.rest.linear import Fit, RestProblem, design_at, modelled, with_terms
+from gateway.identify.rest.hypothesis_fit import residual_at
+from gateway.identify.rest.linear import Fit, RestProblem, design_at
 from gateway.result.result import SetAside
 
 Floats = NDArray[np.float64]
@@ -218,7 +219,7 @@ class Unseen:
 
 def predicted(held: Unseen, fit: Fit) -> Floats:
     """Residual (held-out rows,) [Nm] of a fit on held-out rows."""
-    return _at(held.problem, fit)[held.mask]
+    return residual_at(held.problem, fit)[held.mask]
 
 
 def prediction_covariance(held: Unseen, fit: Fit) -> Floats:
@@ -230,11 +231,6 @@ def prediction_covariance(held: Unseen, fit: Fit) -> Floats:
     design = design_at(problem, fit, fit.noise).dense[held.mask]
     noise = fit.noise.std[problem.group[held.mask]] ** 2
     return np.asarray(design @ fit.covariance @ design.T + np.diag(noise), dtype=float)
-
-
-def _at(problem: RestProblem, fit: Fit) -> Floats:
-    setting = with_terms(problem, fit.terms, fit.theta, fit.nuisance)
-    return problem.target - modelled(problem, setting, fit.links, fit.loads, fit.band)
 
 
 def spare_rows(problem: RestProblem, fit: Fit) -> Floats:

@@ -18,7 +18,7 @@ from gateway.diagnose.rest.holdout import Unseen, WithoutPose, left_out, left_ou
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.rest_mistakes import Mistake
 from gateway.diagnose.rest.search import Search
-from gateway.diagnose.rest.verdict import BY_EVIDENCE, Decision, noise_floor, strong, unseen_by_choice
+from gateway.diagnose.rest.verdict import BY_EVIDENCE, Decision, strong, unseen_by_choice
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.hypothesis_fit import NOTHING, fit
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -263,12 +263,6 @@ def rejected(search: Search, decision: Decision) -> list[Rejected]:
     tried = {(entry.name, entry.joints) for entry in out} | taken
     out += [Rejected(*key, 1.0) for key in sorted({term.label for term in search.named} - tried)]
     return sorted(out, key=lambda entry: (entry.holdout_rms_ratio, entry.name, entry.joints))
-
-
-def floor_and_band(problem: RestProblem, decision: Decision) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Noise floor and friction band of each axis; NaN where the axis was not measured."""
-    measured = problem.use_difference.any(axis=0)
-    return numbers(noise_floor(problem, decision)), numbers(np.where(measured, decision.after.band, np.nan))
 
 
 def corrected_links(decision: Decision) -> list[Finding]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.identify.rest.linear import Fit, RestProblem, plausible_spread, term_columns
-from gateway.identify.solve import Basis, ByGroup, reduce
+from gateway.identify.solve import Basis, ByGroup, Prior, solve
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
@@ -53,9 +53,9 @@ class CandidateColumns:
         rows = np.flatnonzero(changed[problem.group])
         return CandidateColumns(rows, dense[rows], squares, changed.tobytes())
 
-    def size(self, std: Floats) -> Floats:
-        """Length (k,) of the columns weighted by the noise (3 N,) of each group."""
-        return np.sqrt(np.sum(self.squares / std[:, None] ** 2, axis=0))
+    def size(self, precision: Floats) -> Floats:
+        """Length (..., k) of the columns weighted by the precision (..., 3 N) of each noise group."""
+        return np.sqrt(precision @ self.squares)
 
 
 @dataclass(slots=True, eq=False)
@@ -129,6 +129,7 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
     derivatives : Derivatives
     """
     weight = 1.0 / replace(fit.noise, std=std).of_rows(problem)
+    precision = np.stack([fit.noise.std, std]) ** -2.0
     basis, residual = projection(fit, fit.columns, fit.prior_std, weight)
     families: dict[Term, list[int]] = {}
     by_groups: dict[bytes, list[int]] = {}
@@ -140,7 +141,7 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
             families[switched[0]].append(position)
             continue
         columns = derivatives[term if switched is None else switched[0]]
-        spread[position], size = _spread(problem, fit, term, columns, std)
+        spread[position], size = _spread(problem, term, columns, precision)
         if switched is not None:
             families[switched[0]] = [position]
         elif np.isfinite(size).all() and float(np.linalg.norm(size)) >= REST.inert:
@@ -190,13 +191,14 @@ def switch_s(term: Term) -> float:
     return -np.inf if switched is None else switched[1]
 
 
-def _spread(
-    problem: RestProblem, fit: Fit, term: Term, columns: CandidateColumns, std: Floats
-) -> tuple[Floats, Floats]:
-    """Prior standard deviation (k,) of the linear parameters of a candidate, and length (k,) of the scaled columns."""
-    size = columns.size(fit.noise.std) / np.sqrt(max(len(problem.rows), 1))
-    spread = plausible_spread(term, size)[: term.count]
-    return spread, columns.size(std)[: term.count] * spread
+def _spread(problem: RestProblem, term: Term, columns: CandidateColumns, precision: Floats) -> tuple[Floats, Floats]:
+    """Prior standard deviation (k,) of the linear parameters of a candidate, and length (k,) of the scaled columns.
+
+    The first `precision` (2, 3 N) of the noise groups is that of the fit, the second weighs the rows.
+    """
+    seen, weighted = columns.size(precision)
+    spread = plausible_spread(term, seen / np.sqrt(max(len(problem.rows), 1)))[: term.count]
+    return spread, weighted[: term.count] * spread
 
 
 def _changes(
@@ -239,19 +241,14 @@ def projection(fit: Fit, columns: ByGroup, prior_std: Floats, weight: Floats) ->
 
     Also returns the weighted residual (rows,) after one further step of the fit.
     """
-    problem = fit.problem
-    held = np.flatnonzero(np.isfinite(prior_std))
-    width = columns.width
+    problem, width = fit.problem, columns.width
     centre = np.concatenate([np.array(term.start) for term in fit.terms]) if fit.terms else np.zeros(0)
-    pull = np.concatenate([problem.common_mean - fit.common, centre - fit.flat_theta])
+    pull = np.concatenate([problem.common_mean - fit.common, centre - fit.flat_theta])[:width]
     pull[problem.taken_over(fit.terms)] = 0.0
-    known = np.zeros((len(held) + len(problem.prior_target), width + 1))
-    known[np.arange(len(held)), held] = 1.0 / prior_std[held]
-    known[: len(held), width] = pull[held] / prior_std[held]
-    known[len(held) :, : problem.n_common] = problem.prior_rows
-    known[len(held) :, width] = problem.prior_target - problem.prior_rows @ fit.common
-    reduced = reduce(columns, fit.residual, weight, known, _TOLERANCE)
-    return reduced.basis, fit.residual * weight - reduced.basis.times(reduced.left.T @ reduced.right[:-1])
+    rows = np.pad(problem.prior_rows, ((0, 0), (0, width - problem.n_common)))
+    prior = Prior(pull, prior_std, rows, problem.prior_target - problem.prior_rows @ fit.common)
+    solution = solve(columns, fit.residual, weight, prior, _TOLERANCE)
+    return solution.basis, solution.residual * weight
 
 
 def log_bayes_factor(gram: Floats, score: Floats) -> Floats:

@@ -24,6 +24,7 @@ from gateway.identify.alternatives import LINK_SCALE, wider_links
 from gateway.identify.conflict import dropped, links_finding, without_placeholder
 from gateway.identify.knowledge import Knowledge
 from gateway.identify.load_estimate import LoadEstimate, refused_load
+from gateway.identify.model_conflict import motion_conflict
 from gateway.identify.motion.columns import Columns, Effects, MovingSetup, SeenEffects, moving_columns
 from gateway.identify.motion.periods import Periods, averaged
 from gateway.identify.motion.prior import gains_prior, held_to_friction, with_common_part, with_run_scatter
@@ -32,7 +33,7 @@ from gateway.identify.motion.rest_rows import columns_beside
 from gateway.identify.motion.stretches import Stretches
 from gateway.identify.motion.uncertainty import MovingSpread, correlation_times, spread_of
 from gateway.identify.nuisance import BIAS_SHARE, gain_stds
-from gateway.identify.prior_loads import BARE_LABEL
+from gateway.identify.prior_loads import BARE_LABEL, unknown_labels
 from gateway.identify.rest.linear import Fit
 from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.identify.solve import Solution, determined
@@ -88,7 +89,7 @@ class MotionFit:
 class FittedMotion:
     """Rows, their fit, and refused loads; no fit if all loads were refused.
 
-    `findings`: statements that the rows contradict.
+    `findings`: statements that the rows contradict; a failing one refuses all loads.
     """
 
     periods: Periods
@@ -146,7 +147,11 @@ def fit_motion(
         knowledge = knowledge.of_loads(sound.mean.load)
     trusted, placeholder = without_placeholder(robot, knowledge)
     fit, conflicts = _tested(sound, robot, trusted, setup, (rest, effects))
-    return FittedMotion(sound, fit, refused, (*placeholder, *_wide_inertia(robot, trusted), *conflicts))
+    findings = (*placeholder, *_wide_inertia(robot, trusted), *conflicts)
+    if reasons := [finding.what for finding in conflicts if finding.severity == "fail"]:
+        labels = (*unknown_labels(sound.mean.load, knowledge.known), *knowledge.parts)
+        return FittedMotion(sound, None, (*refused, *(refused_load(each, reasons[0]) for each in labels)), findings)
+    return FittedMotion(sound, fit, refused, findings)
 
 
 def _wide_inertia(robot: Robot, knowledge: Knowledge) -> Iterator[Finding]:
@@ -183,8 +188,7 @@ def _tested(
         return fit, ()
     other = _fit(periods, robot, wider, setup, beside)
     rows = (bare | ~bare.any())[:, None] & other.problem.used
-    found = (other.columns, other.value, other.spread.covariance)
-    conflict = contradiction(stated.columns, found, rows, wider.trust)
+    conflict = contradiction(stated.columns, other, rows, wider.trust)
     return (fit, ()) if conflict is None else (other, (conflict,))
 
 
@@ -359,17 +363,15 @@ def contradicted_links(columns: Columns, solution: Solution, knowledge: Knowledg
     return dropped(knowledge, found) if found is not None and unloaded else found
 
 
-def contradiction(
-    stated: Columns, measured: tuple[Columns, Floats, Floats], rows: Mask, trust: float
-) -> Finding | None:
-    """Report the axis on which the measured torque of the bodies differs most from the robot model.
+def contradiction(stated: Columns, fit: MotionFit, rows: Mask, trust: float) -> Finding | None:
+    """Report a large contradiction of the robot model, or the axis whose torque of the bodies differs most from it.
 
     Parameters
     ----------
     stated : Columns
         With the prior that is contradicted.
-    measured : Columns, array of shape (p,), array of shape (p, p)
-        With the wider prior: parameters and their covariance.
+    fit : MotionFit
+        With the wider prior.
     rows : bool array of shape (n, N)
         Of the unloaded arm, where an axis is used.
     trust : float
@@ -378,13 +380,13 @@ def contradiction(
     Returns
     -------
     Finding or None
-        None where both agree within the uncertainty.
+        A failing one after a large contradiction; None where both agree within the uncertainty.
     """
-    columns, value, covariance = measured
+    columns, value = fit.columns, fit.value
     own, links = columns.links, stated.links
-    expected_nm = stated.design[:, :, links] @ stated.prior.mean[links]
-    found_nm = columns.design[:, :, own] @ value[own]
-    part = covariance[np.ix_(own, own)]
+    expected_nm = rows * (stated.design[:, :, links] @ stated.prior.mean[links])
+    found_nm = rows * (columns.design[:, :, own] @ value[own])
+    part = fit.spread.covariance[np.ix_(own, own)]
     spread = np.einsum("nak,kl,nal->na", columns.design[:, :, own], part, columns.design[:, :, own], optimize=True)
 
     def rms(values: Floats) -> Floats:
@@ -396,4 +398,5 @@ def contradiction(
     if away[axis] <= CONFLICT.shown:
         return None
     torque = float(rms(expected_nm**2)[axis]), float(rms(found_nm**2)[axis]), float(std[axis])
-    return links_finding(axis, torque, "in motion (rms)", trust)
+    large = motion_conflict(expected_nm, found_nm, np.abs(columns.dry(value)))
+    return large or links_finding(axis, torque, "in motion (rms)", trust)

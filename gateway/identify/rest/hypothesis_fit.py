@@ -158,16 +158,16 @@ def _begin(
 
 def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[Floats]) -> Fit:
     """One Gauss-Newton step, with noise and evidence at the new point."""
-    residual = about.residual if isinstance(about, Fit) else _left(problem, about)
+    residual = about.residual if isinstance(about, Fit) else residual_at(problem, about)
     about = _place(about)
     design = design_at(problem, about, noise)
     prior = _prior(problem, about, spreads)
     columns, target = noise.whitened_columns(problem, design), noise.whitened(problem, residual)
     solution = solve(columns, target, np.ones(len(target)), prior, TOLERANCE)
     place = _moved(problem, about, solution.value)
-    left = _left(problem, place)
+    left = residual_at(problem, place)
     repeated = noise.repeated(problem)
-    count, taken = problem.by_group(1.0 / repeated), problem.by_group(solution.leverage)
+    count, taken = problem.by_group(1.0 / repeated), problem.by_group(solution.basis.leverage)
     squares = problem.by_group(left**2 / repeated)
     std = np.where(count > 0, noise_std(count, taken, squares, noise.start, noise.least), noise.start)
     used = np.flatnonzero(count)
@@ -194,7 +194,6 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
         inverse=solution.basis.inverse,
         null=solution.null,
         scale=solution.scale,
-        condition=solution.condition,
         mode=mode,
     )
     problem.recent.of(found, lambda: design)
@@ -216,7 +215,7 @@ def shared_by_repeats(problem: RestProblem, residual: Floats) -> Floats:
     shared = np.ones(3 * problem.axes)
     for group, cells in problem.places.cells.items():
         own = residual[cells.rows]
-        apart = own - (cells.means @ own / cells.root)[cells.cell]
+        apart = own - (np.bincount(cells.cell, own) / cells.root**2)[cells.cell]
         freedom = len(own) - len(cells.root)
         if freedom >= FEWEST_REPEATS:
             shared[group] = np.clip(1.0 - (apart @ apart / freedom) / max(np.mean(own**2), 1e-300), 0.0, 1.0)
@@ -257,7 +256,7 @@ def over_factors(away: Floats, covariance: Floats, first: Bools) -> float:
     return float(np.logaddexp.reduce(log_ratio + np.add.outer(_LOG_PRIOR, _LOG_PRIOR).ravel()))
 
 
-def _left(problem: RestProblem, at: Place) -> Floats:
+def residual_at(problem: RestProblem, at: Place) -> Floats:
     """Measured rows (rows,) minus modelled rows."""
     setting = with_terms(problem, at.terms, at.theta, at.nuisance)
     return problem.target - modelled(problem, setting, at.links, at.loads, at.band)

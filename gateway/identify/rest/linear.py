@@ -14,7 +14,7 @@ from gateway.identify.prior_loads import load_functions
 from gateway.identify.rest.place_effects import PlaceEffects, Places
 from gateway.identify.rest.rest_nuisance import COLD, KINDS, NUISANCE_KINDS, RestNuisance, nuisance_setting
 from gateway.identify.rest.rest_thresholds import REST_MODEL
-from gateway.identify.solve import Basis, ByGroup
+from gateway.identify.solve import Basis, ByGroup, condition
 from gateway.model.rest import AlteredModel, Model
 from gateway.model.term import Term
 from gateway.model.visits import Visits, places_of
@@ -282,7 +282,6 @@ class Fit(Place):
     inverse : (p, rank) parameters per unit of each direction of the basis
     null : (p, k) directions that neither rows nor priors determine
     scale : (p,) length of each weighted column
-    condition : largest over smallest singular value of the scaled, weighted columns with their priors
     """
 
     problem: RestProblem
@@ -297,13 +296,22 @@ class Fit(Place):
     inverse: Floats
     null: Floats
     scale: Floats
-    condition: float
     mode: float
+
+    @property
+    def friction_band_nm(self) -> Floats:
+        """Friction band (N,) without the friction that grows with torque; NaN without approaches in both directions."""
+        return np.where(self.problem.use_difference.any(axis=0), np.abs(self.band), np.nan)
 
     @property
     def rank(self) -> int:
         """Number of parameters that rows and priors determine."""
         return len(self.scale) - self.null.shape[1]
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value of the scaled, weighted columns with their priors."""
+        return condition(self.inverse, self.scale)
 
     @property
     def setting(self) -> AlteredModel:
@@ -323,10 +331,18 @@ class Fit(Place):
 
 
 class _Recent:
-    """Cache of the columns of recently used fits; the columns of all fits of a search would need most of its memory."""
+    """Cache of the last setting, and of the columns of recently used fits: those of all would need too much memory."""
 
     def __init__(self) -> None:
         self._known: WeakKeyDictionary[Fit, ByGroup] = WeakKeyDictionary()
+        self._setting: tuple[Floats, bytes, AlteredModel] | None = None
+
+    def setting(self, problem: RestProblem, nuisance: Floats) -> AlteredModel:
+        """Return the model with the nuisance parameters (K N + E,) only."""
+        patterns, key = problem.patterns, nuisance.tobytes()
+        if self._setting is None or self._setting[0] is not patterns or self._setting[1] != key:
+            self._setting = patterns, key, nuisance_setting(problem.rows, nuisance, patterns)
+        return self._setting[2]
 
     def of(self, fit: Fit, columns: Callable[[], ByGroup]) -> ByGroup:
         """Return the columns of a fit, computed if they are not stored."""
@@ -346,7 +362,7 @@ def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
 
 def with_terms(problem: RestProblem, terms: Sequence[Term], theta: Sequence[Floats], nuisance: Floats) -> AlteredModel:
     """Model with the nuisance parameters (K N + E,) and all effects of a hypothesis."""
-    setting = nuisance_setting(problem.rows, nuisance, problem.patterns)
+    setting = problem.recent.setting(problem, nuisance)
     for term, values in zip(terms, theta, strict=True):
         setting = term.apply(setting, values, problem.rows)
     return setting
@@ -368,8 +384,15 @@ def certain_bands(problem: RestProblem, fit: Fit) -> Floats:
 
 def modelled(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> Floats:
     """Modelled rows (rows,)."""
-    prediction = problem.model.predict(setting, links, visit_loads(problem, loads), band)
-    return np.concatenate([prediction.sum_nm[problem.use_sum], prediction.difference_nm[problem.use_difference]])
+    return modelled_each(problem, [setting], links, loads, band)[0]
+
+
+def modelled_each(
+    problem: RestProblem, settings: Sequence[AlteredModel], links: Floats, loads: Floats, band: Floats
+) -> Floats:
+    """Modelled rows (settings, rows) of several settings."""
+    read = problem.model.predict_each(settings, links, visit_loads(problem, loads), band)
+    return np.hstack([read.sum_nm[:, problem.use_sum], read.difference_nm[:, problem.use_difference]])
 
 
 def design_at(problem: RestProblem, at: Place, noise: Noise) -> ByGroup:
@@ -385,81 +408,63 @@ def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, l
     bodies = problem.model.bodies(setting, links, visit_loads(problem, loads))
     torque, regressor = problem.model.joint_torque(setting, bodies)
     chain = problem.model.sum_by_torque(setting, torque, band)
-    # Derivatives by bands and by each kind of nuisance parameters; the gains are the second entry
-    model, axes = problem.model, problem.axes
-    base = model.readings(setting, torque, band)
-    coupled = axes > 1 and model.mixes(setting)
-    slopes = []
-    for place, kind in enumerate((None, *NUISANCE_KINDS)):
-        step = _STEP * (1.0 + np.abs(band)) if kind is None or kind.name == "bias" else np.full(axes, _STEP)
-        sums, differences = [], []
-        for moved in np.eye(axes) if coupled else np.ones((1, axes)):
-            if kind is None:
-                shifted = model.readings(setting, torque, band + step * moved)
-            else:
-                shifted = model.readings(kind.raised(setting, step * moved, problem.rows), torque, band)
-            size = step[moved > 0]
-            sums.append((shifted.sum_nm - base.sum_nm) / size)
-            differences.append((shifted.difference_nm - base.difference_nm) / size)
-        halves = None if kind is not None and kind.name == "gain" else np.stack(differences, axis=2)
-        slopes.append(_Slopes(problem.band_part.start + place * axes, np.stack(sums, axis=2), halves))
-    groups = _groups(problem, setting, chain, regressor, slopes)
+    # One evaluation: the reading as it is, then each band or nuisance parameter larger by a step, on all axes at once
+    # unless the reading of an axis depends on other axes
+    axes, kinds = problem.axes, len(NUISANCE_KINDS) + 1
+    moved = np.eye(axes) if axes > 1 and problem.model.mixes(setting) else np.ones((1, axes))
+    steps = np.full((kinds, axes), _STEP)
+    steps[[0, 1 + KINDS.index("bias")]] *= 1.0 + np.abs(band)
+    shifts = np.zeros((kinds, len(moved), kinds, axes))
+    shifts[np.arange(kinds), :, np.arange(kinds)] = steps[:, None] * moved
+    shifts = np.concatenate([np.zeros((1, kinds, axes)), shifts.reshape(-1, kinds, axes)])[:, :, None]
+    raised = setting
+    for place, kind in enumerate(NUISANCE_KINDS, start=1):
+        raised = kind.raised(raised, shifts[:, place], problem.rows)
+    read = problem.model.readings(raised, torque, band + shifts[:, 0])
+    size = steps[:, :, None, None] if len(moved) > 1 else steps[:, None, None]
+    sums, halves = (
+        ((values[1:] - values[0]).reshape(kinds, -1, *torque.shape) / size).transpose(2, 3, 0, 1)
+        for values in (read.sum_nm, read.difference_nm)
+    )
+    groups = _groups(problem, setting, np.matmul(chain, regressor), sums, halves)
     return ByGroup.of_groups(len(problem.target), problem.n_common, groups)
 
 
 def _groups(
-    problem: RestProblem, setting: AlteredModel, chain: Floats, regressor: Floats, slopes: Sequence[_Slopes]
-) -> Iterator[tuple[NDArray[np.int_], NDArray[np.int_], Floats]]:
-    """Rows, columns and values of each noise group; the rows of an axis depend on the readings of that axis only."""
-    axes, first = problem.axes, problem.n_common - problem.patterns.shape[2]
-    shared = np.arange(first, problem.n_common)
-    number = np.zeros((2, *problem.use_sum.shape), dtype=int)
+    problem: RestProblem, setting: AlteredModel, body: Floats, sums: Floats, halves: Floats
+) -> Iterator[tuple[Ints, Ints, Floats]]:
+    """Rows, columns and values of each noise group; the rows of an axis depend on the readings of that axis only.
+
+    Parameters
+    ----------
+    problem : RestProblem
+    setting : AlteredModel
+    body : array of shape (n, N, 4 N)
+        Derivatives of the half-sums by the body parameters.
+    sums, halves : arrays of shape (n, N, kinds, N or 1)
+        Derivatives of half-sums and half-differences by bands, gains and the other nuisance parameters. Of length 1 if
+        a reading depends on the parameter of its own axis only.
+    """
+    (n, axes, kinds, others), patterns = sums.shape, problem.patterns
+    first, loads = problem.n_common - patterns.shape[2], problem.band_part.start
+    number = np.zeros((2, n, axes), dtype=int)
     number[0][problem.use_sum] = np.arange(problem.use_sum.sum())
     number[1][problem.use_difference] = problem.use_sum.sum() + np.arange(problem.use_difference.sum())
-    loads = problem.band_part.start
+    load = body[:, :, -4:].copy()
+    load[:, :, 0] += np.einsum("nak,nk->na", body[:, :, -3:], setting.moment_factor)
+    carried = (problem.member[:, None, :, None] * load[:, :, None]).reshape(n, axes, -1)
+    # without approach directions the small contribution of a band to the half-sum would determine it, and not converge
+    sums[:, :, 0] *= problem.sided if others > 1 else problem.sided[:, None]
+    gains = np.matmul(sums[:, :, 1], patterns) if others > 1 else sums[:, :, 1] * patterns
+    values = np.concatenate([body, carried, sums.reshape(n, axes, -1), gains], axis=2)
+    seen = np.delete(halves, 1, axis=2).reshape(n, axes, -1)  # half-differences do not determine the gains
     for axis in range(axes):
-        own = slice(None) if slopes[0].coupled else [axis]
-        body = np.matmul(chain[:, [axis]], regressor)[:, 0]
-        load = body[:, -4:].copy()
-        load[:, 0] += np.einsum("nk,nk->n", body[:, -3:], setting.moment_factor)
-        carried = (problem.member[:, :, None] * load[:, None]).reshape(len(body), loads - 4 * axes)
-        by_kind = [each.sums[:, axis] for each in slopes]
-        # without approach directions the small contribution of a band to the half-sum would determine it, and not
-        # converge
-        by_kind[0] = by_kind[0] * problem.sided[own]
-        gains = np.matmul(by_kind[1][:, None], problem.patterns[:, own])[:, 0]
-        places = [each.start + np.arange(axes)[own] for each in slopes]
-        columns, values = (
-            np.concatenate([np.arange(loads), *places, shared]),
-            np.hstack([body, carried, *by_kind, gains]),
-        )
+        own = loads + axes * np.arange(kinds)[:, None] + (np.arange(axes) if others > 1 else axis)
+        columns = np.concatenate([np.arange(loads), own.ravel(), np.arange(first, problem.n_common)])
         two = problem.use_difference[:, axis]
         for visits in (two, problem.use_sum[:, axis] & ~two):
-            yield number[0][visits, axis], columns, values[visits]
-        seen = [(place, each.differences) for place, each in zip(places, slopes, strict=True)]
-        halves = [(place, values[two, axis]) for place, values in seen if values is not None]
-        yield number[1][two, axis], np.concatenate([place for place, _ in halves]), np.hstack([v for _, v in halves])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Slopes:
-    """Derivatives of the readings by one kind of axis parameters.
-
-    Attributes
-    ----------
-    start : place of the first axis among the parameters
-    sums : (n, N, N) of the half sums of each axis by the parameter of each axis; (n, N, 1) by its own alone
-    differences : the same of the half differences, or None
-    """
-
-    start: int
-    sums: Floats
-    differences: Floats | None
-
-    @property
-    def coupled(self) -> bool:
-        """Return whether the reading of an axis depends on another axis."""
-        return self.sums.shape[2] > 1
+            yield number[0][visits, axis], columns, values[visits, axis]
+        yield number[1][two, axis], np.delete(own, 1, axis=0).ravel(), seen[two, axis]
 
 
 def term_columns(
@@ -469,17 +474,13 @@ def term_columns(
 
     `position` is the effect's place among those of the hypothesis, None for one that is not in it (built in last).
     """
-    columns = np.empty((len(problem.target), len(theta)))
     rest = [k for k in range(len(at.terms)) if k != position]
     base = with_terms(problem, [at.terms[k] for k in rest], [at.theta[k] for k in rest], at.nuisance)
-    for k, step in enumerate(_steps(term, theta, noise)):
-        sides = []
-        for sign in (1.0, -1.0):
-            moved = theta.copy()
-            moved[k] += sign * step
-            setting = term.apply(base, moved, problem.rows)
-            sides.append(modelled(problem, setting, at.links, at.loads, at.band))
-        columns[:, k] = (sides[0] - sides[1]) / (2.0 * step)
+    steps = _steps(term, theta, noise)
+    moved = theta + np.concatenate([np.diag(steps), -np.diag(steps)])
+    settings = [term.apply(base, values, problem.rows) for values in moved]
+    above, below = np.split(modelled_each(problem, settings, at.links, at.loads, at.band), 2)
+    columns = ((above - below) / (2.0 * steps[:, None])).T
     if term.scales_reading:
         columns[int(problem.use_sum.sum()) :] = 0.0
     return columns

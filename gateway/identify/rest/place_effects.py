@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -34,7 +35,7 @@ _STEPS: Final = 60
 _SETTLED: Final = 1e-7
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Cells:
     """Rows of one noise group, by place and load.
 
@@ -42,17 +43,23 @@ class Cells:
     ----------
     rows, cell : (m,) rows of the group, ascending, and the cell of each
     place : (cells,) place of each cell
-    means : (cells, m) sparse; `means @ values` is the mean of each cell times the root of its number of rows
-    sums : (places, cells) sparse; `sums @ values` is the sum over the cells of each place
     root : (cells,) root of the number of rows of each cell
     """
 
     rows: Ints
     cell: Ints
     place: Ints
-    means: scipy.sparse.csr_array
-    sums: scipy.sparse.csr_array
     root: Floats
+
+    @cached_property
+    def means(self) -> scipy.sparse.csr_array:
+        """Sparse matrix (cells, m): mean of each cell times the root of its number of rows."""
+        return scipy.sparse.csr_array((1.0 / self.root[self.cell], (self.cell, np.arange(len(self.rows)))))
+
+    @cached_property
+    def sums(self) -> scipy.sparse.csr_array:
+        """Sparse matrix (places, cells): sum over the cells of each place."""
+        return scipy.sparse.csr_array((np.ones(len(self.place)), (self.place, np.arange(len(self.place)))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,18 +72,13 @@ class Places:
     @staticmethod
     def of(group: Ints, place: Ints, load: Ints, alone: Mask) -> Places:
         """Sort rows by group, place and load, each of shape (rows,); rows that are `alone` share no place."""
-        out = {}
+        out, loads = {}, int(load.max(initial=0)) + 1
         for number in np.unique(group[~alone]).tolist():
             rows = np.flatnonzero((group == number) & ~alone)
-            cells, cell, count = np.unique(
-                np.stack([place[rows], load[rows]], axis=1), axis=0, return_inverse=True, return_counts=True
-            )
-            places, at = np.unique(cells[:, 0], return_inverse=True)
+            cells, cell, count = np.unique(loads * place[rows] + load[rows], return_inverse=True, return_counts=True)
+            places, at = np.unique(cells // loads, return_inverse=True)
             if len(places) < len(rows):
-                cell, root = cell.ravel(), np.sqrt(count)
-                means = scipy.sparse.csr_array((1.0 / root[cell], (cell, np.arange(len(rows)))))
-                sums = scipy.sparse.csr_array((np.ones(len(cells)), (at, np.arange(len(cells)))))
-                out[number] = Cells(rows, cell, at, means, sums, root)
+                out[number] = Cells(rows, cell, at, np.sqrt(count))
         return Places(group, out)
 
 

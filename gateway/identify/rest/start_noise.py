@@ -66,9 +66,7 @@ def repeated_std(torque_nm: Floats, group: NDArray[np.int_], side: Floats) -> Fl
     for k in range(len(out)):
         use = np.isfinite(torque_nm[:, k])
         value = torque_nm[use, k]
-        keys = np.stack([group[use].astype(float), side[use, k]], axis=1)
-        _, place = np.unique(keys, axis=0, return_inverse=True)
-        place = place.ravel()
+        _, place = np.unique(3 * group[use] + side[use, k].astype(int), return_inverse=True)
         count = np.bincount(place)
         mean = np.bincount(place, weights=value) / np.maximum(count, 1)
         freedom = len(value) - len(count)

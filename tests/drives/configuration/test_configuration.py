@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from canopen.objectdictionary import datatypes, import_od
@@ -22,7 +23,6 @@ from drives.datasheet.object_values import decoded, encoded, ledger_value, under
 from drives.datasheet.sheet import SheetObject
 from drives.errors import ConfigurationRefused, DriveFault, ProfileError, SdoAbort, SdoTimeout, SeveralFailures
 from drives.ledger import KnownDevice, WriteLedger
-from drives.pdo import Step
 from drives.profile import DriveProfile
 from tests.drives.conftest import Slave
 
@@ -257,16 +257,21 @@ def test_what_a_refusal_leaves_behind_is_nothing(access, slave, generic, tmp_pat
     assert ledger.entries == before
 
 
-def test_what_cannot_be_put_back_is_named_and_stays_in_the_ledger(access, slave, generic, tmp_path, ledger):
-    work = planned(access, generic, tmp_path, {(0x6007, 0): 2, (0x6065, 0): 90})
+def before_write(slave, act):
+    """Call `act` before each write to 0x6065."""
     real = slave.on_frame
 
-    def dying(can_id, data):
+    def acting(can_id, data):
         if (data[0] & 0xE0, data[1:4]) == (0x20, b"\x65\x60\x00"):
-            slave.alive = False
+            act()
         real(can_id, data)
 
-    slave.on_frame = dying
+    slave.on_frame = acting
+
+
+def test_what_cannot_be_put_back_is_named_and_stays_in_the_ledger(access, slave, generic, tmp_path, ledger):
+    work = planned(access, generic, tmp_path, {(0x6007, 0): 2, (0x6065, 0): 90})
+    before_write(slave, lambda: setattr(slave, "alive", False))
     with pytest.raises(SdoTimeout) as caught:
         write_all([work])
     (note,) = caught.value.__notes__
@@ -292,12 +297,9 @@ def test_a_drive_that_takes_another_value_than_it_is_given_ends_it(access, slave
 
 def test_a_person_who_interrupts_finds_everything_as_it_was(access, slave, generic, tmp_path, ledger):
     work = planned(access, generic, tmp_path, {(0x6007, 0): 2, (0x6065, 0): 90})
-
-    def stop(_node: int, _step: Step) -> None:
-        raise KeyboardInterrupt
-
+    before_write(slave, Mock(side_effect=[KeyboardInterrupt, None]))
     with pytest.raises(KeyboardInterrupt):
-        write_all([work], stop)
+        write_all([work])
     assert (slave.values[0x6007, 0], slave.values[0x6065, 0]) == (1, 100)
     assert ledger.entries == ()
 

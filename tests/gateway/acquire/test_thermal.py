@@ -37,7 +37,7 @@ class Measured:
     round_s: float
     rounds: int = 0
 
-    def measure(self, poses, _path) -> None:
+    def measure(self, poses) -> None:
         assert {pose.number // 1000 for pose in poses} == {self.rounds}
         self.rounds += 1
 

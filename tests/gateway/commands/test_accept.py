@@ -73,7 +73,7 @@ def test_a_right_load_passes_with_map_page_and_junit(accept, tmp_path):
 
 
 def test_without_a_tolerance_it_is_5_percent_of_the_torque_limits(accept, tmp_path):
-    accept("--json", tmp_path / "a.json", tolerance=None)
+    accept("--hold-to-run", "--json", tmp_path / "a.json", tolerance=None)
     answer = json.loads((tmp_path / "a.json").read_text())
     assert answer["tolerance_nm"] == pytest.approx((0.05 * torque_limits()).tolist())
 

@@ -66,7 +66,7 @@ def stored(place):
 @pytest.mark.parametrize("known", [WEIGHED, "weight=5"])
 def test_the_constants_are_found_and_stored_beside_the_cell(place, known):
     before = (place.folder / "cell.toml").read_bytes()
-    done = calibrated(place, known=known)
+    done = calibrated(place, "--hold-to-run", known=known)
     assert done.exit_code == 0, done.output
     axes = {axis["joint"]: axis for axis in json.loads(done.stdout)["axes"]}
     for joint in (2, 3):
@@ -221,7 +221,7 @@ def test_a_stored_unloaded_arm_of_other_constants_is_refused(place):
         ("weight=0", 3, "a load of 0 kg is not allowed"),
         ("weight=0,0,0,0.1", 3, "a load of 0 kg cannot calibrate an axis"),
         ("weight=5000", 3, "grams? that is 5 kg"),
-        ("wieght=5", 3, "no row carries this load; the data hold none, weight"),
+        ("wieght=5", 3, "run.csv) hold none, weight"),
         ("none=5", 3, "is the unloaded arm"),
         ("weight=5,20,0,100", 3, "these are millimetres"),
     ],

@@ -82,7 +82,7 @@ def written(tmp_path, name, **changes):
 
 def test_two_results_are_compared(tmp_path):
     before, after = written(tmp_path, "a.json"), written(tmp_path, "b.json", mass_kg=5.3)
-    page, out = tmp_path / "c.html", tmp_path / "c.json"
+    page, out = tmp_path / "c.html", tmp_path / "new" / "c.json"
     done = run("compare", before, after, "-o", page, "--json", out)
     assert done.exit_code == 7, done.output
     assert "changed: mass of load" in done.stderr

@@ -44,6 +44,7 @@ def test_loads_and_standard_deviations_are_equal_where_no_effect_is_named(bench:
     found = diagnose(table, bench.robot, options, only=NOTHING)
     expected = run(table, bench.robot, _knowledge(bench))
     assert not found.effects
+    np.testing.assert_allclose(found.friction_band_nm, expected.friction_band_nm, rtol=1e-9)
     for ours, other in zip(found.loads, expected.loads, strict=True):
         assert np.isclose(ours.mass_kg, other.mass_kg, rtol=1e-9)
         assert np.isclose(ours.mass_std_kg, other.mass_std_kg, rtol=1e-9)

@@ -195,7 +195,7 @@ def test_posture_without_anything_known_of_the_bare_arm_says_what_lumps(arm, pos
         estimate(table, arm.robot, Knowledge(link_std=np.inf), "posture")
     joint = run(table, arm.robot, Knowledge(link_std=np.inf))
     assert np.isnan(joint.loads[0].mass_kg)
-    assert joint.loads[0].unidentifiable == ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
+    assert joint.loads[0].unidentifiable == ("mass_kg", "com_x_m", "com_y_m", "com_z_m", "inertia_kg_m2")
     assert any("cannot be separated from link 6" in finding.what for finding in joint.findings)
     exact = estimate(table, arm.robot, Knowledge(link_std=0.0), "posture").loads[0]
     assert exact.mass_kg == pytest.approx(TOOL[0], rel=1e-4)

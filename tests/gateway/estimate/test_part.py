@@ -79,7 +79,7 @@ def test_a_light_part_has_no_centre_and_exchanged_labels_are_refused(arm, table,
     light = {"none": None, "gripper": GRIPPER, "both": GRIPPER * [1.005, 1, 1, 1]}
     rows = measured(arm, poses, light, np.random.default_rng(3), 0.02)
     part = part_of(run(rows, arm.robot, STATED).loads)
-    assert (part.com_m, part.unidentifiable) == (None, ("com_x_m", "com_y_m", "com_z_m"))
+    assert (part.com_m, part.unidentifiable) == (None, ("com_x_m", "com_y_m", "com_z_m", "inertia_kg_m2"))
     exchanged = replace(STATED, parts={"part": ("gripper", "both")})
     assert "exchanged" in part_of(estimate(table, arm.robot, exchanged).loads).refused
 
@@ -87,7 +87,7 @@ def test_a_light_part_has_no_centre_and_exchanged_labels_are_refused(arm, table,
 @pytest.mark.parametrize(
     ("parts", "says"),
     [
-        ({"part": ("both", "grip")}, "the data hold none, gripper, both"),
+        ({"part": ("both", "grip")}, r"the data \(made.csv\) hold none, gripper, both"),
         ({"both": ("both", "gripper")}, "another name"),
         ({"part": ("both", "both")}, "named twice"),
         ({"part": ("both", "none")}, "unloaded arm"),

@@ -13,25 +13,18 @@ from click.testing import CliRunner
 
 from gateway.cli import main
 from gateway.formats.log_map import read_map, ready_maps, unit_named
+from tests.data.log_columns import COLUMNS
 
 ROWS, STEP_S = 60, 0.01
 NAMES = ["t", "q1", "q2", "m1", "m2"]
-MAP = """axes = 2
+MAP = f"""axes = 2
 [load]
 label = "a"
 [time]
 column = "t"
 [motion]
 cutoff_hz = 30
-[[column]]
-log = "q{}"
-table = "q{}_rad"
-unit = "rad"
-[[column]]
-log = "m{}"
-table = "tau{}_nm"
-unit = "Nm"
-"""
+{COLUMNS}"""
 
 
 def numbers() -> np.ndarray:

@@ -11,27 +11,20 @@ from click.testing import CliRunner
 
 from gateway.cli import main
 from gateway.formats.smooth import clock_of, motion_of, rates
+from tests.data.log_columns import COLUMNS
 from tests.data.moving_arm import World, measured
 
 STEP_S = 0.008
 ROBOT = Path(__file__).parents[3] / "examples" / "small" / "robot.urdf"
 LOAD = (3.2, 0.05, 0.02, 0.09)
-MAP = """axes = 6
+MAP = f"""axes = 6
 [load]
 column = "load"
 [time]
 column = "t"
 [motion]
 cutoff_hz = 10
-[[column]]
-log = "q{}"
-table = "q{}_rad"
-unit = "rad"
-[[column]]
-log = "m{}"
-table = "tau{}_nm"
-unit = "Nm"
-"""
+{COLUMNS}"""
 
 
 def positions(time_s: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from gateway.identify.load_estimate import (
     refused_load,
     unknown_load,
 )
+from gateway.result.names import INERTIA_WHOLE
 
 MOMENT = np.array([10.0, 1.0, -0.5, 2.0])
 MIX = np.random.default_rng(3).normal(size=(4, 4))
@@ -96,7 +97,7 @@ def test_a_mass_below_zero_by_more_than_its_uncertainty_is_refused(std_kg, refus
 def test_loads_that_are_not_estimated():
     nothing = load_result(unknown_load("b"), None)
     assert np.isnan(nothing.mass_kg)
-    assert (nothing.com_m, nothing.correlation, nothing.unidentifiable) == (None, None, LOAD_PARTS)
+    assert (nothing.com_m, nothing.correlation, nothing.unidentifiable) == (None, None, (*LOAD_PARTS, INERTIA_WHOLE))
     refused = load_result(refused_load("c", "two masses", {"1": 3.0}), None)
     assert (refused.refused, refused.per_pose_mass_kg, refused.correlation) == ("two masses", {"1": 3.0}, None)
 

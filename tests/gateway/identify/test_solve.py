@@ -25,10 +25,9 @@ def test_free_solution_is_generalised_least_squares(problem):
     np.testing.assert_allclose(found.residual, target - design @ oracle.params, rtol=1e-8, atol=1e-10)
     white = design / std[:, None]
     hat = white @ np.linalg.inv(white.T @ white) @ white.T
-    np.testing.assert_allclose(found.leverage, np.diag(hat), rtol=1e-9)
-    np.testing.assert_allclose(found.orthogonal @ found.orthogonal.T, hat, atol=1e-10)
-    assert found.rank == 5
-    assert found.null.shape == (5, 0)
+    np.testing.assert_allclose(found.basis.leverage, np.diag(hat), rtol=1e-9)
+    np.testing.assert_allclose(found.basis.dense @ found.basis.dense.T, hat, atol=1e-10)
+    assert (found.rank, found.null.shape) == (5, (5, 0))
     assert found.log_determinant == pytest.approx(np.linalg.slogdet(white.T @ white)[1])
     assert found.misfit == pytest.approx(np.sum((found.residual / std) ** 2))
 
@@ -97,11 +96,12 @@ def test_columns_that_say_nothing_take_up_no_row(problem, size):
     noise = size * np.random.default_rng(1).normal(size=(40, 3))
     more = np.column_stack([noise[:, 0], design, noise[:, 1:], design[:, 1] - 2.0 * design[:, 4], design[:, 2]])
     found = solve(more, target, 1 / std)
-    np.testing.assert_allclose(found.leverage, plain.leverage, rtol=1e-7)
-    np.testing.assert_allclose(found.orthogonal @ found.orthogonal.T, plain.orthogonal @ plain.orthogonal.T, atol=1e-9)
+    np.testing.assert_allclose(found.basis.leverage, plain.basis.leverage, rtol=1e-7)
+    basis, expected = found.basis.dense, plain.basis.dense
+    np.testing.assert_allclose(basis @ basis.T, expected @ expected.T, atol=1e-9)
     np.testing.assert_allclose(found.residual, plain.residual, atol=1e-9)
     assert found.rank == plain.rank == 5
-    assert found.leverage.sum() == pytest.approx(5.0)
+    assert found.basis.leverage.sum() == pytest.approx(5.0)
 
 
 def test_more_columns_than_rows_take_up_no_more_than_the_rows_say():
@@ -109,10 +109,10 @@ def test_more_columns_than_rows_take_up_no_more_than_the_rows_say():
     design = np.zeros((5, 8))
     design[:, 3] = 2.0
     found = solve(design, np.arange(5.0), np.ones(5))
-    assert found.leverage == pytest.approx(np.full(5, 0.2))
+    assert found.basis.leverage == pytest.approx(np.full(5, 0.2))
     assert found.value[3] == pytest.approx(1.0)
     assert np.delete(found.value, 3) == pytest.approx(np.zeros(7))
-    assert not solve(np.zeros((5, 2)), np.arange(5.0), np.ones(5)).leverage.any()
+    assert not solve(np.zeros((5, 2)), np.arange(5.0), np.ones(5)).basis.leverage.any()
 
 
 def test_standard_deviations_that_combinations_tie_together_are_those_of_the_covariance():

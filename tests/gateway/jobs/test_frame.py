@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drives.errors import DriveFault, DriveRebooted
-from gateway.jobs.frame import ask_to_move
+from gateway.jobs.frame import Operator, ask_to_move
 from tests.support.rigs.brakes import in_brakes
 
 
@@ -36,23 +36,25 @@ def context(pair=None):
 )
 def test_an_arm_of_a_pair_moves_alone_with_open_grippers_only(arms, pair, question):
     asked = []
-    ask_to_move(context(pair), [arm(name) for name in arms], lambda text, _meanwhile: asked.append(text), "will move")
-    assert asked == [question]
+    operator = Operator(ask=lambda text, _meanwhile: asked.append(text))
+    ask_to_move(context(pair), [arm(name) for name in arms], operator, "will move.", lambda: asked.append("before"))
+    assert asked == ["before", question]
 
 
 @pytest.mark.parametrize("reason", ["failure", "unsafe"])
-def test_no_person_is_asked_about_an_arm_that_cannot_be_enabled_or_approached(reason):
+def test_no_person_is_asked_and_no_page_opens_for_an_arm_that_cannot_be_enabled_or_approached(reason):
     def faulty(*, full):
         (drive,) = in_brakes(full=full).drives
         return replace(in_brakes(full=full), drives=(replace(drive, **{reason: DriveFault("is in FAULT", node=1)}),))
 
     with pytest.raises(DriveFault, match="is in FAULT"):
-        ask_to_move(context(), [arm("one"), arm("two", faulty)], pytest.fail, "will move")
+        ask_to_move(context(), [arm("one"), arm("two", faulty)], Operator(ask=pytest.fail), "will move.", pytest.fail)
 
 
 def test_a_change_of_any_arm_ends_the_question():
     def rebooted():
         raise DriveRebooted("restarted", node=1)
 
+    operator = Operator(ask=lambda _text, meanwhile: meanwhile())
     with pytest.raises(DriveRebooted):
-        ask_to_move(context(), [arm("one"), arm("two", attend=rebooted)], lambda _text, meanwhile: meanwhile(), "move")
+        ask_to_move(context(), [arm("one"), arm("two", attend=rebooted)], operator, "will move.")

@@ -12,7 +12,7 @@ import pytest
 
 from drives.bus import BusSpec
 from drives.errors import ProfileError
-from gateway.cell.config import LoadedCell
+from gateway.cell.config import LoadedCell, with_pacing
 from gateway.cell.conversion import AxisConversion
 from gateway.errors import InputError
 from gateway.feedforward.identified import with_identified
@@ -57,6 +57,8 @@ def test_a_profile_that_is_not_packaged_is_a_file_beside_the_cell(small_cell, tm
     text = axis_setups(small_cell, config)[0].profile.text.replace('eds = "generic-cia402.eds"\n', "")
     (tmp_path / "mine.toml").write_text(text)
     assert axis_setups(loaded, own)[0].profile.text == text
+    (tmp_path / "mine.toml").unlink()
+    assert len({id(setup.profile) for setup in axis_setups(with_pacing(loaded, "lockstep"), own)}) == 1, "read once"
 
 
 class Group:

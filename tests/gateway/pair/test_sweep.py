@@ -14,8 +14,6 @@ from gateway.pair.transform import slave_command
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 STEP_M = 1e-4
-#: Of the example's path; there a joint of the slave turns 0.02 mrad under 2 mm along the path.
-POINT = 606
 
 
 def turned(cell: PairCell, commands: np.ndarray, at: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

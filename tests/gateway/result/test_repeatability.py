@@ -122,9 +122,10 @@ def test_what_is_no_series_is_refused():
         judged([one])
     with pytest.raises(InputError, match="only results of one arm"):
         judged([one, from_json(json.dumps(body(5.0, 0.1, 0.1) | {"robot": "large"}))])
-    stored = from_json(to_json(one))
-    with pytest.raises(InputError, match=r"1\.json and 2\.json are the same result"):
-        judged([stored, stored])
+    rows = {"fit": {"tool": {"q_rad": [[0.1] * 6], "tau_nm": [[3.0] * 6]}}}
+    for same in ([from_json(to_json(one))] * 2, repeated([5.0, 5.1], data_roles=rows)):
+        with pytest.raises(InputError, match=r"1\.json and 2\.json are of the same data"):
+            judged(same)
 
 
 def test_the_command_writes_page_and_json_and_fails_where_deviations_are_too_small(tmp_path):

@@ -34,7 +34,7 @@ def full(folder: Path, suffix: str) -> Path:
 
 
 def test_a_trace_holds_what_was_sent_and_received(disk, bus, tmp_path):
-    path = tmp_path / "trace.log"
+    path = tmp_path / "new" / "trace.log"
     with logged(bus, path, disk), can.Bus(interface="virtual", channel="trace") as other:
         bus.send(0x123, b"\x01")
         other.send(can.Message(arbitration_id=0x456, data=b"\x02", is_extended_id=False))
@@ -47,8 +47,9 @@ def test_a_trace_holds_what_was_sent_and_received(disk, bus, tmp_path):
     assert sent.timestamp <= received.timestamp <= remote.timestamp
 
 
-@pytest.mark.parametrize("name", ["missing/trace.log", "trace.unknown"])
+@pytest.mark.parametrize("name", ["file/trace.log", "trace.unknown"])
 def test_a_trace_that_cannot_be_written_is_an_error(disk, bus, tmp_path, name):
+    (tmp_path / "file").touch()
     with pytest.raises(BusError, match="frame trace .* cannot be written"), logged(bus, tmp_path / name, disk):
         pass
 

@@ -35,6 +35,9 @@ def test_the_users_statement_on_the_drawing_is_kept():
     table, robot, _ = measured(3, World(), duration_s=20.0, cad_error=0.25)
     for trust in (0.03, np.inf):
         assert trust_of(diagnose(table, robot, Knowledge(link_std=trust), only=frozenset({"base_tilt"}))) == trust
+    heavy = replace(robot, mass_kg=3.0 * robot.mass_kg, inertia_kg_m2=3.0 * robot.inertia_kg_m2)
+    found = diagnose(table, heavy, Knowledge(link_std=0.03), only=frozenset({"base_tilt"}))
+    assert (found.verdict, found.effects, found.findings[0].check) == ("unexplained", (), "torque_constants")
 
 
 def test_evidence_is_the_marginal_density_of_the_rows():
