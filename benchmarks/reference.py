@@ -52,7 +52,9 @@ from gateway.jobs.check import check, check_moving
 from gateway.jobs.commission import commission
 from gateway.jobs.configure import apply_files, compare_with_files, dump, restore
 from gateway.jobs.drive_test import measure_timing
+from gateway.jobs.follow import follow
 from gateway.jobs.measure import move, record, record_moving, record_until_known
+from gateway.jobs.replay import replay, store
 from gateway.model.effect import Effect, nowhere
 from gateway.model.effects import LIBRARY
 from gateway.newcell.questions import ALL
@@ -281,8 +283,8 @@ def _thresholds(of: Any) -> str:
 
 #: Public functions for programs that measure.
 JOBS: Final = (
-    *(check, check_moving, move, record, record_until_known, record_moving, commission, accept, calibrate),
-    *(store_calibration, measure_timing, dump, compare_with_files, apply_files, restore),
+    *(check, check_moving, move, record, record_until_known, record_moving, commission, accept, follow),
+    *(calibrate, store_calibration, measure_timing, dump, compare_with_files, apply_files, restore, store, replay),
 )
 BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     "keys of a cell file": lambda: keys(Cell),

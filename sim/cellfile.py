@@ -27,6 +27,8 @@ Table = Mapping[str, Any]
 #: "lockstep": simulated time advances by one period with each SYNC; "real": in real time.
 PACINGS = ("lockstep", "real")
 PAYLOAD_DENSITY_KG_M3 = 2500.0
+#: From the last joint to the centre of gravity of any load [m].
+LARGEST_LEVER_M = 5.0
 #: Constants of an axis that a cell may leave out.
 OPTIONAL_CONSTANTS = ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad")
 
@@ -273,16 +275,24 @@ def read_profile(name: str, folder: Path) -> Table:
     return read_toml(beside if beside.is_file() else folder / name)
 
 
+def place_of(path: Path, table: str, number: int) -> str:
+    """Return file, line of the header and number (from 1) of one table of a list, for messages."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    headers = [line for line, text in enumerate(lines, 1) if text.replace(" ", "").startswith(f"[[{table}]]")]
+    return f"{path}:{headers[number - 1]}: {table} {number}" if len(headers) >= number else f"{path}: {table} {number}"
+
+
 def read_payloads(path: Path) -> dict[str, Payload]:
     """Loads of a payload file by label: `[[load]] label, mass_kg, com_m`, `inertia_kg_m2` (3 x 3) if it is known.
 
     Raises
     ------
-    CellFileError : the file cannot be read, a key is missing, a number is not finite, two loads share a label
+    CellFileError : the file cannot be read, a key is missing, a number is not finite or a centre of gravity farther
+        than `LARGEST_LEVER_M`, two loads share a label
     """
     loads: dict[str, Payload] = {}
     for number, entry in enumerate(read_toml(path).get("load", []), start=1):
-        where = f"{path}: load {number}"
+        where = place_of(path, "load", number)
         try:
             label, mass = str(entry["label"]), float(entry["mass_kg"])
             com = np.array(entry["com_m"], dtype=float)
@@ -294,6 +304,8 @@ def read_payloads(path: Path) -> dict[str, Payload]:
         numbers = np.concatenate([[mass], com.ravel(), inertia.ravel()])
         if com.shape != (3,) or inertia.shape != (3, 3) or mass <= 0 or not np.all(np.isfinite(numbers)):
             raise CellFileError(f"{where}: mass_kg must be positive, com_m three finite numbers.")
+        if np.linalg.norm(com) > LARGEST_LEVER_M:
+            raise CellFileError(f"{where}: com_m {com.tolist()} is more than {LARGEST_LEVER_M:g} m away: give metres.")
         if label in loads or label == "none":
             raise CellFileError(
                 f"{where}: label '{label}' is already used; labels must be unique, and `none` is the unloaded arm."

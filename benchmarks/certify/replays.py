@@ -23,15 +23,14 @@ PLACES = {
 def replayed(seed: int) -> dict:
     """Store a measurement, every fifth a diagnosis, and count what differs when it is computed again."""
     drawn = draw_cell(seed)
-    command = "diagnose" if seed % 5 == 4 else "estimate"
-    answer: dict = {"seed": seed, "command": command}
+    answer: dict = {"seed": seed, "command": "diagnose" if seed % 5 == 4 else "estimate"}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_cell_file(folder, drawn.arm.rated_kg, drawn.arm.geometry.limit_rad, 10.0 * drawn.size_nm)
         drawn.columns = measure(drawn)
         table, _ = write_cell(drawn, folder)
         archive = folder / "stored.zip"
-        code, said = invoked(command, table, "--cell", folder / "cell.toml", "--archive", archive)
+        code, said = invoked(answer["command"], table, "--cell", folder / "cell.toml", "--archive", archive)
         if not archive.exists():
             return answer | {"said": f"{code} {said[-200:]}"}
         for number, (place, changes) in enumerate(PLACES.items()):

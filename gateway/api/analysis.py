@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,8 @@ from gateway.errors import InputError
 from gateway.estimate import Coefficient
 from gateway.estimate import run as _estimate
 from gateway.model.effects import LIBRARY
-from gateway.pipeline.finalize import accept, finalize
+from gateway.model.placeholders import model_remarks
+from gateway.pipeline.finalize import accept, check_against_data, finalize
 from gateway.pipeline.inputs import (
     AnalysisInputs,
     ModelRequest,
@@ -25,6 +27,7 @@ from gateway.pipeline.inputs import (
     read_rows,
     split_validation,
 )
+from gateway.result.acceptance import Expected
 from gateway.result.data_roles import FIT, HELD_ROLE, refuse_used, roles_of, used_rows
 from gateway.result.result import Result
 
@@ -32,7 +35,13 @@ from gateway.result.result import Result
 Files = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 
-def _paths(files: Files) -> list[Path]:
+#: Shows a remark, and is open during a computation; without a person both do nothing.
+Say = Callable[[str], None]
+Working = Callable[[str], AbstractContextManager[None]]
+
+
+def paths_of(files: Files) -> list[Path]:
+    """Return the paths of one file or of several."""
     return [Path(files)] if isinstance(files, str | os.PathLike) else [Path(each) for each in files]
 
 
@@ -56,11 +65,21 @@ def read(data: Files, model: ModelRequest | None = None) -> Table:
     InputError, ConfigError
         A file that cannot be used, with its line.
     """
-    paths = _paths(data)
+    paths = paths_of(data)
     return read_rows(paths, collect_inputs(model or ModelRequest(), paths))
 
 
-def estimate(data: Files, model: ModelRequest, *, method: str = "joint") -> Result:
+def estimate(
+    data: Files,
+    model: ModelRequest,
+    *,
+    method: str = "joint",
+    coefficient: Coefficient | None = None,
+    expected: Sequence[Expected] = (),
+    operator: str | None = None,
+    say: Say = lambda _text: None,
+    working: Working = lambda _name: nullcontext(),
+) -> Result:
     """Estimate mass and centre of gravity of every load that is not known, as `servo-gateway estimate`.
 
     Parameters
@@ -70,7 +89,17 @@ def estimate(data: Files, model: ModelRequest, *, method: str = "joint") -> Resu
     model : ModelRequest
         Cell or robot, and what is known of the loads.
     method : str
-        `joint`, `difference` or `posture`.
+        `joint`, `difference`, `posture` or `coefficient`.
+    coefficient : Coefficient, optional
+        Inputs of the method of that name.
+    expected : sequence of Expected
+        Expected masses; the result says of each whether it passes.
+    operator : str, optional
+        Name of the operator, for the report.
+    say : callable
+        Shows a remark on the robot description.
+    working : callable
+        Called with the name of the computation; open until that is done.
 
     Returns
     -------
@@ -84,14 +113,32 @@ def estimate(data: Files, model: ModelRequest, *, method: str = "joint") -> Resu
     DataUnusable
         The data do not determine a load: rank, too few poses.
     """
-    paths = _paths(data)
-    about = collect_inputs(model, paths)
-    table = read_rows(paths, about)
-    return accept(finalize(estimated(about, table, method), about, table, paths), (), about.arm)
+
+    def fit(about: AnalysisInputs, table: Table) -> Result:
+        how, axes = coefficient, () if about.arm is None else about.arm.axis
+        if how is not None and 0 < how.joint <= len(axes):
+            axis = axes[how.joint - 1]
+            how = replace(how, gear_ratio=how.gear_ratio or axis.gear_ratio.value)
+            how = replace(how, gear_efficiency=how.gear_efficiency or axis.gear_efficiency.value)
+        with working("estimation"):
+            choice = postures(about)
+            result = _estimate(table, about.robot, about.knowledge, method, coefficient=how, pose_choice=choice)
+        return replace(result, data_roles=roles_of(table, earlier=about.bare_roles))
+
+    return _analysed(fit, paths_of(data), (), model, expected, operator, say)
 
 
 def diagnose(
-    data: Files, model: ModelRequest, *, holdout: Files = (), only: Iterable[str] = (), without: Iterable[str] = ()
+    data: Files,
+    model: ModelRequest,
+    *,
+    holdout: Files = (),
+    only: Iterable[str] = (),
+    without: Iterable[str] = (),
+    expected: Sequence[Expected] = (),
+    operator: str | None = None,
+    say: Say = lambda _text: None,
+    working: Working = lambda _name: nullcontext(),
 ) -> Result:
     """Find the effects that the model lacks, judged on data that no fit has seen, as `servo-gateway diagnose`.
 
@@ -105,6 +152,8 @@ def diagnose(
         Data for the judgement alone. Without it visits marked `x_validation`, else blocks of the data.
     only, without : iterable of str
         Names of effects to try alone, or not to try.
+    expected, operator, say, working
+        As of `estimate`.
 
     Returns
     -------
@@ -116,43 +165,45 @@ def diagnose(
     InputError, ConfigError
         A file, a statement or the name of an effect that cannot be used.
     DataUnusable
-        Too few rows to fit, or none to hold out, or `holdout` holds rows of `data`.
+        Too few rows to fit, or none to hold out, or `holdout` holds rows of `data`, under any label or pose number.
     """
-    paths, unseen_paths, names = _paths(data), _paths(holdout), (frozenset(only), frozenset(without))
-    for name in sorted(frozenset.union(*names) - set(LIBRARY)):
+    unseen_paths, tried, untried = paths_of(holdout), frozenset(only), frozenset(without)
+    for name in sorted((tried | untried) - set(LIBRARY)):
         raise InputError(f"'{name}' is not an effect; choose from {', '.join(sorted(LIBRARY))}")
-    about = collect_inputs(model, [*paths, *unseen_paths])
-    table = read_rows(paths, about)
-    found = diagnosed(about, table, unseen_paths, *names)
-    return accept(finalize(found, about, table, [*paths, *unseen_paths]), (), about.arm)
+
+    def fit(about: AnalysisInputs, table: Table) -> Result:
+        with working("diagnosis"):
+            seen, unseen = (table, read_rows(unseen_paths, about)) if unseen_paths else split_validation(table)
+            if unseen is not None and unseen.axes == seen.axes:
+                fitted = roles_of(seen, earlier=about.bare_roles, most_moving=len(seen))
+                files = ", ".join(dict.fromkeys(seen.file))
+                refuse_used(unseen, used_rows(unseen, fitted, (FIT,)), f"the fit of {files}")
+            choice = partial(postures, about)
+            result = _diagnose(
+                seen, about.model, about.knowledge, holdout=unseen, only=tried, without=untried, pose_choice=choice
+            )
+        return replace(result, data_roles=roles_of(seen, unseen, result.provenance.get(HELD_ROLE), about.bare_roles))
+
+    return _analysed(fit, paths_of(data), unseen_paths, model, expected, operator, say)
 
 
-def estimated(about: AnalysisInputs, table: Table, method: str, coefficient: Coefficient | None = None) -> Result:
-    """Return the estimate of all loads in the rows of a table."""
-    choice = postures(about)
-    result = _estimate(table, about.robot, about.knowledge, method, coefficient=coefficient, pose_choice=choice)
-    return replace(result, data_roles=roles_of(table, earlier=about.bare_roles))
-
-
-def diagnosed(
-    about: AnalysisInputs, table: Table, holdout: Sequence[Path], only: frozenset[str], without: frozenset[str]
+def _analysed(
+    fit: Callable[[AnalysisInputs, Table], Result],
+    data: Sequence[Path],
+    holdout: Sequence[Path],
+    model: ModelRequest,
+    expected: Sequence[Expected],
+    operator: str | None,
+    say: Say,
 ) -> Result:
-    """Return the diagnosis of the rows of a table, judged on the files `holdout` or on visits of validation poses.
-
-    Raises
-    ------
-    DataUnusable
-        As `diagnose`, or rows of the hold-out are in the table too, under any label or pose number.
-    """
-    seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
-    if unseen is not None and unseen.axes == seen.axes:
-        fitted = roles_of(seen, earlier=about.bare_roles, most_moving=len(seen))
-        refuse_used(unseen, used_rows(unseen, fitted, (FIT,)), f"the fit of {', '.join(dict.fromkeys(seen.file))}")
-    choice = partial(postures, about)
-    result = _diagnose(
-        seen, about.model, about.knowledge, holdout=unseen, only=only, without=without, pose_choice=choice
-    )
-    return replace(result, data_roles=roles_of(seen, unseen, result.provenance.get(HELD_ROLE), about.bare_roles))
+    """Read the files, fit, and complete the result."""
+    paths = [*data, *holdout]
+    about = collect_inputs(model, paths)
+    for remark in () if about.robot is None else model_remarks(about.robot):
+        say(remark)
+    table = read_rows(data, about)
+    check_against_data(expected, table, about)
+    return accept(finalize(fit(about, table), about, table, paths, operator), expected, about.arm)
 
 
 def postures(about: AnalysisInputs) -> NDArray[np.float64] | None:

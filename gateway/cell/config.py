@@ -16,7 +16,6 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from drives.bus_spec import BusSpec
 from drives.profile import DriveProfile, is_assumed
-from drives.profile_file import find_profile
 from drives.toml_lines import KeyPath, key_lines
 from drives.validation import Refused, Strict, Unfit, read_strict, refuse
 from gateway.cell import plausible
@@ -576,6 +575,9 @@ class LoadedCell(Strict):
     def profile(self, name: str) -> DriveProfile:
         """Return the drive profile of this name, as `find_profile`; each is read once, also for copies of the cell."""
         if name not in self._profiles:
+            # imported here: a cell is read by commands that reach no drive and need not load its libraries
+            from drives.profile_file import find_profile
+
             self._profiles[name] = find_profile(name, self.folder)
         return self._profiles[name]
 

@@ -69,9 +69,8 @@ def compare(
         judge_repeated(results, names, json_out, output)
         return
     if len(files) != 2:
-        raise click.UsageError(
-            f"{len(files)} results: give one before and one after service, or repetitions with --repeated"
-        )
+        given = f"number of results given: {len(files)}"
+        raise click.UsageError(f"{given}; give one before and one after service, or repetitions with --repeated")
     found = compared(results[0], results[1], (names[0], names[1]), tolerance)
     rows = [list(compared_cells(row)) for row in found.quantities]
     title = f"{found.robot}: before and after, difference ± half of its interval"

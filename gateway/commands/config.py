@@ -75,13 +75,8 @@ def config_dump(
     for arm in context.arms:
         for axis in arm.axis:
             refuse_to_replace(dcf_path(context, arm, axis.node_id, folder), "--output", session)
-    nodes = dump(context, folder=folder, sheets=by_node, remarks=show_remarks)
-    if ours := sum(node.pop("noted") for node in nodes):
-        session.show(
-            f"{ours} objects hold values written by the gateway (write ledger); `restore` resets them to the original"
-            " values"
-        )
-    for node in nodes:
+
+    def written(node: dict[str, Any]) -> None:
         unread, where = node["unread"], f"node {node['node_id']}"
         session.show(f"{where}: {node['file']}: {len(node['configuration'])} configuration objects")
         for name, why in unread.items():
@@ -90,6 +85,13 @@ def config_dump(
             session.show(f"  {what} of the data sheet; the drive has this value, so the limit is written as a comment")
         if unread:
             session.show(f"  {len(unread)} objects could not be read: {few_objects(unread)}")
+
+    nodes = dump(context, folder=folder, sheets=by_node, remarks=show_remarks, written=written)
+    if ours := sum(node["noted"] for node in nodes):
+        session.show(
+            f"{ours} objects hold values written by the gateway (write ledger); `restore` resets them to the original"
+            " values"
+        )
     if json_out:
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": nodes})
 
@@ -232,10 +234,6 @@ def config_apply(
         allow=lambda change: not yes and sys.stdin.isatty() and agreed(f"{change}. Write it anyway?"),
         compared=_show,
     )
-    for arm in context.arms:
-        count = sum(len(node.different) - len(node.left_out) for node in nodes if node.arm == arm.name)
-        said = f"{count} objects written and read back" if count else "nothing to write"
-        session.show(f"arm {arm.name}: {said}{'; stored' if store else ''}")
     if json_out:
         listed = [
             _as_json(node) | {"stored": store, "left_out": [object_text(each) for each in node.left_out]}

@@ -13,11 +13,9 @@ from gateway.commands.console import axis_names, grid, number
 from gateway.commands.measure import arm_option
 from gateway.commands.shared_options import (
     FILE,
-    PATH_AXES,
     cell_argument,
     common,
     json_option,
-    refuse_other_axes,
     session_of,
     write_json,
 )
@@ -62,6 +60,7 @@ def cost(
     """
     from gateway.cell.config import load_cell
     from gateway.cost.job import cost_of
+    from gateway.follow.path import refuse_other_axes
     from gateway.model.arm_model import arm_named
     from gateway.result.numerals import SAID, half_width, with_interval
     from gateway.result.values import plain_values
@@ -77,7 +76,7 @@ def cost(
     session.show(f"load '{found.load}': {with_interval(found.mass_kg, found.mass_std_kg)} kg on arm '{found.arm}'")
     title = f"cycle time as planned with each load; torque reserve with the mounted load, % of the limit ({SAID})"
     has_gripper = math.isfinite(found.moves[0].settings[-1].load_acceleration_reserve)
-    columns = ["path", "entered", "cycle s", *axis_names(PATH_AXES), *(["load acc."] if has_gripper else [])]
+    columns = ["path", "entered", "cycle s", *axis_names(len(arm.axis)), *(["load acc."] if has_gripper else [])]
     rows = []
     for move in found.moves:
         for setting in move.settings:

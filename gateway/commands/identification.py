@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import click
 
 from gateway.cell.axes import MOST_AXES
 from gateway.commands.measure import arm_option
-from gateway.commands.replay import archive_option, store
+from gateway.commands.replay import archive_option
 from gateway.commands.result_output import fail_on_findings, show_result, write_junit
 from gateway.commands.shared_options import (
     FILE,
@@ -22,15 +22,12 @@ from gateway.commands.shared_options import (
     json_option,
     known_loads,
     model_options,
-    note_remarks,
     operator_option,
     session_of,
     write_json,
 )
 
 if TYPE_CHECKING:
-    from gateway.data.table import Table
-    from gateway.pipeline.inputs import AnalysisInputs
     from gateway.result.acceptance import Expected
     from gateway.result.result import Result
 
@@ -64,8 +61,8 @@ def analysis_options(function: Function) -> Function:
 
 
 def _analysed(
-    analyse: Callable[[AnalysisInputs, Table], Result],
-    holdout: tuple[Path, ...],
+    analyse: Callable[..., Result],
+    own: Mapping[str, Any],
     *,
     data: tuple[Path, ...],
     robot: Path | None,
@@ -85,10 +82,10 @@ def _analysed(
     archive: Path | None,
     json_out: str | None,
 ) -> None:
-    """Read the data, analyse them, write and show the result; exit with code 7 on a failing finding."""
+    """Analyse with the arguments `own` of one command, write and show the result; exit 7 on a failing finding."""
     from gateway.identify.nuisance import parse_torque_gain
-    from gateway.pipeline.finalize import accept, check_against_data, finalize
-    from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
+    from gateway.jobs.replay import store
+    from gateway.pipeline.inputs import ModelRequest
     from gateway.pipeline.saved_loads import save_loads
     from gateway.result.result import to_dict
 
@@ -106,22 +103,23 @@ def _analysed(
         differences[labels[0]] = (labels[1], labels[2])
     loads = known_loads(known), differences
     request = ModelRequest(robot, cell_file, inertials, *loads, bare, arm_name, gain_std, tip, is_warm)
-    about = collect_inputs(request, [*data, *holdout])
-    note_remarks(about.robot)
-    table = read_rows(data, about)
-    check_against_data(expected, [table], about)
-    result = analyse(about, table)
-    result = accept(finalize(result, about, table, [*data, *holdout], operator), expected, about.arm)
+    arguments = {"data": data, "model": request, "expected": expected, "operator": operator, **own}
+    session = session_of()
+    result = analyse(**arguments, say=session.note, working=session.working)
     if json_out:
         write_json(json_out, to_dict(result))
     if junit_file is not None:
         write_junit(junit_file, result)
     if archive is not None:
-        store(archive, result)
-    show_result(result, session_of())
+        stored = store(archive, result, analyse.__name__, arguments)
+        session.show(f"archive: {archive}, {len(stored.files)} files")
+        named = [typed for typed in stored.stated["typed"].values() if Path(typed).is_absolute()]
+        if named:
+            session.note(f"{archive}: holds folder names such as {named[0]}: type relative names before you pass it on")
+    show_result(result, session)
     fail_on_findings(result.findings)
     if save and cell_file is not None and json_out is not None:
-        session_of().show(f"loads: {save_loads(cell_file, result, Path(json_out), session_of().replaces)}")
+        session.show(f"loads: {save_loads(cell_file, result, Path(json_out), session.replaces)}")
 
 
 @click.command()
@@ -156,27 +154,21 @@ def estimate(
     **shared: Any,
 ) -> None:
     """Estimate mass and centre of gravity of each unknown load, with 95 % intervals; name what is not identifiable."""
-    from gateway.api.analysis import estimated
+    from gateway.api.analysis import estimate as run
+    from gateway.data.table import is_recording
     from gateway.estimate import METHODS, Coefficient
 
     if method not in METHODS:
         raise click.BadParameter(f"'{method}' is not one of {', '.join(METHODS)}", param_hint="--method")
-
-    def analyse(about: AnalysisInputs, table: Table) -> Result:
-        coefficient = None
-        if method == "coefficient":
-            if axis is None or lever is None:
-                raise click.UsageError("--method coefficient needs --axis and --lever")
-            stated = None if about.arm is None else about.arm.axis[axis - 1]
-            ratio = gear_ratio or (stated and stated.gear_ratio.value)
-            efficiency = gear_efficiency or (stated and stated.gear_efficiency.value)
-            if not ratio or not efficiency:
-                raise click.UsageError("--method coefficient needs --gear-ratio and --gear-efficiency, or --cell CELL")
-            coefficient = Coefficient(axis, lever, ratio, efficiency, rated_torque)
-        with session_of().working("estimation"):
-            return estimated(about, table, method, coefficient)
-
-    _analysed(analyse, (), **shared)
+    own: dict[str, Any] = {"method": method}
+    if method == "coefficient":
+        if axis is None or lever is None:
+            raise click.UsageError("--method coefficient needs --axis and --lever")
+        has_cell = shared["cell_file"] is not None or any(map(is_recording, shared["data"]))
+        if not has_cell and not (gear_ratio and gear_efficiency):
+            raise click.UsageError("--method coefficient needs --gear-ratio and --gear-efficiency, or --cell CELL")
+        own["coefficient"] = Coefficient(axis, lever, gear_ratio or 0.0, gear_efficiency or 0.0, rated_torque)
+    _analysed(run, own, **shared)
 
 
 @click.command()
@@ -189,10 +181,6 @@ def diagnose(holdout: tuple[Path, ...], only: frozenset[str], without: frozenset
 
     The verdict is one of: model complete, explained, improved, unexplained, undecided.
     """
-    from gateway.api.analysis import diagnosed
+    from gateway.api.analysis import diagnose as run
 
-    def analyse(about: AnalysisInputs, table: Table) -> Result:
-        with session_of().working("diagnosis"):
-            return diagnosed(about, table, holdout, only, without)
-
-    _analysed(analyse, holdout, **shared)
+    _analysed(run, {"holdout": holdout, "only": sorted(only), "without": sorted(without)}, **shared)

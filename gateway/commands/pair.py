@@ -196,15 +196,11 @@ def run_pair(
 
 def _cycle_line(summary: CycleSummary) -> str:
     learned = "learned" if summary.learned else (summary.reason or "not learned")
+    error = f"force up to {summary.force_n:.1f} N, moment up to {summary.moment_nm:.1f} Nm"
     if not math.isnan(summary.gap_m):
-        return (
-            f"cycle {summary.cycle}: gap error up to {1e3 * summary.gap_m:.3f} mm, correction up to"
-            f" {1e3 * summary.correction_m:.2f} mm, {summary.knots} points, {learned}"
-        )
-    return (
-        f"cycle {summary.cycle}: force up to {summary.force_n:.1f} N, moment up to {summary.moment_nm:.1f} Nm,"
-        f" correction up to {1e3 * summary.correction_m:.2f} mm, {summary.knots} points, {learned}"
-    )
+        error = f"gap error up to {1e3 * summary.gap_m:.3f} mm"
+    correction = f"correction up to {1e3 * summary.correction_m:.2f} mm"
+    return f"cycle {summary.cycle}: {error}, {correction}, {summary.knots} points, {learned}"
 
 
 @click.command()
@@ -229,17 +225,10 @@ def learn(action: str, cell: Path, store: Path | None, json_out: str | None) -> 
         functions={stage: _origin(kept.load(stage)) for stage in STAGES},
     )
     session.show(f"learning is {status.learning}")
-    rows = [
-        [
-            stage,
-            *(
-                ("-",) * 5
-                if one is None
-                else [str(one.points), one.learn_source, number(one.speed), one.embodiment, one.date]
-            ),
-        ]
-        for stage, one in status.functions.items()
-    ]
+    rows = [[stage, *["-"] * 5] for stage in status.functions]
+    for row, one in zip(rows, status.functions.values(), strict=True):
+        if one is not None:
+            row[1:] = [str(one.points), one.learn_source, number(one.speed), one.embodiment, one.date]
     session.show(grid("functions", ["", "points", "from", "speed", "embodiment", "date"], rows, left=6))
     if json_out:
         write_json(json_out, plain_values(status))

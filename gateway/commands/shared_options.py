@@ -18,20 +18,17 @@ from drives.files import replace_file
 from gateway.cell.plausible import LARGEST_ANGLE_RAD
 from gateway.commands.console import Session
 from gateway.data.labels import label_refused
-from gateway.errors import ConfigError, InputError
+from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from drives.bus_spec import BusSpec
     from drives.datasheet.sheet import Remark
-    from gateway.cell.config import ArmConfig
     from gateway.model.robot import Robot
     from gateway.pipeline.known import KnownLoad
     from gateway.result.acceptance import Expected
 #: A file on the command line.
 FILE = click.Path(path_type=Path, dir_okay=False)
 
-#: Number of axes that path files, the torque along a path and their reports support.
-PATH_AXES = 6
 #: Number of data sheet remarks printed without -v.
 REMARKS_SHOWN = 10
 
@@ -42,12 +39,6 @@ KNOWN_HELP = (
 )
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-def refuse_other_axes(arm: ArmConfig, command: str) -> None:
-    """Raise ConfigError for an arm whose number of axes a command that follows a path does not support."""
-    if len(arm.axis) != PATH_AXES:
-        raise ConfigError(f"arm '{arm.name}' has {len(arm.axis)} axes; {command} supports {PATH_AXES} axes only")
 
 
 def session_of(ctx: click.Context | None = None) -> Session:

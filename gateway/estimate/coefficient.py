@@ -45,12 +45,12 @@ _NORMAL = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """Inputs of the coefficient method: joint (from 1), lever column [m], gear, rated motor torque [Nm]."""
+    """Inputs of the coefficient method: joint (from 1), lever column [m], gear (0 = of the cell), rated torque [Nm]."""
 
     joint: int
     lever: str
-    gear_ratio: float
-    gear_efficiency: float
+    gear_ratio: float = 0.0
+    gear_efficiency: float = 0.0
     rated_torque_nm: float | None = None
 
 
@@ -84,7 +84,7 @@ def estimate_coefficient(table: Table, knowledge: Knowledge, how: Coefficient | 
     DataUnusable
         The axis was not measured, no reference, or no common pose.
     """
-    if how is None:
+    if how is None or not (how.gear_ratio and how.gear_efficiency):
         raise InputError("the coefficient method needs --axis, --lever, --gear-ratio and --gear-efficiency")
     rest = table.take(~table.moving)
     if how.joint > table.axes:

@@ -24,8 +24,9 @@ from pydantic import Field
 from scipy.interpolate import make_interp_spline
 
 from drives.validation import Strict, Unfit, read_strict
+from gateway.cell.config import ArmConfig
 from gateway.data.csv_text import read_path_columns
-from gateway.errors import InputError, PlanRefused
+from gateway.errors import ConfigError, InputError, PlanRefused
 from gateway.motion.joint_path import angles
 from gateway.motion.trajectory import Motion, MotionLimits, straight
 from gateway.motion.workspace import Workspace
@@ -92,6 +93,12 @@ class FollowPath:
     def end_rad(self) -> np.ndarray:
         """Last setpoint (6,)."""
         return self.motions[-1].q_rad[-1]
+
+
+def refuse_other_axes(arm: ArmConfig, command: str) -> None:
+    """Raise ConfigError for an arm whose number of axes a command that follows a path does not support."""
+    if len(arm.axis) != len(COLUMNS):
+        raise ConfigError(f"arm '{arm.name}' has {len(arm.axis)} axes; {command} supports {len(COLUMNS)} axes only")
 
 
 def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:

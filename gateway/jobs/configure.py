@@ -59,6 +59,7 @@ def dump(
     folder: Path | None = None,
     sheets: Mapping[int | None, Path] | None = None,
     remarks: Callable[[str, Sequence[Remark]], None] = lambda _name, _remarks: None,
+    written: Callable[[dict[str, Any]], None] = lambda _node: None,
 ) -> list[dict[str, Any]]:
     """Read every object in the data sheet of every drive, and write a DCF file a node. Nothing is written to a drive.
 
@@ -71,6 +72,8 @@ def dump(
         Data sheets by node id, or by None for all nodes, in place of those that the profiles name.
     remarks : callable
         Called with the name of a data sheet and its lines that are not used.
+    written : callable
+        Called with each node when its file is written.
 
     Returns
     -------
@@ -101,20 +104,20 @@ def dump(
                 beyond = beyond_limits(read[source], stored, drive.node_id)
                 path, device = dcf_path(context, arm, drive.node_id, folder), drive.access.device
                 replace_file(path, dcf_text(source, stored, datetime.now(UTC), device, name, bitrate, arm.bus, beyond))
-                nodes.append(
-                    {
-                        "arm": arm.name,
-                        "node_id": drive.node_id,
-                        "file": str(path),
-                        "configuration": _by_object(readout.of_kind("configuration")),
-                        "fixed": _by_object(readout.of_kind("fixed")),
-                        "apart": _by_object(readout.of_kind("actual", "process", "command")),
-                        "unread": _by_object(readout.unread),
-                        "write_only": [object_text(at) for at, kind in readout.kinds.items() if kind == "write only"],
-                        "beyond_limits": [what for _, _, what in beyond],
-                        "noted": len(drive.access.noted),
-                    }
-                )
+                node = {
+                    "arm": arm.name,
+                    "node_id": drive.node_id,
+                    "file": str(path),
+                    "configuration": _by_object(readout.of_kind("configuration")),
+                    "fixed": _by_object(readout.of_kind("fixed")),
+                    "apart": _by_object(readout.of_kind("actual", "process", "command")),
+                    "unread": _by_object(readout.unread),
+                    "write_only": [object_text(at) for at, kind in readout.kinds.items() if kind == "write only"],
+                    "beyond_limits": [what for _, _, what in beyond],
+                    "noted": len(drive.access.noted),
+                }
+                written(node)
+                nodes.append(node)
     return nodes
 
 
@@ -254,7 +257,7 @@ def apply_files(
     ----------
     context : CellContext
     operator : Operator
-        Is asked whether the objects may be written, and told which are not.
+        Is asked whether the objects may be written, and told which are not and, after each arm, how many were.
     folder : Path, optional
         Of the files; `dcf` beside the cell file by default.
     also : collection of (index, subindex)
@@ -313,6 +316,8 @@ def apply_files(
             write_all(work)
             for access in accesses if store else ():
                 keep(access)
+            said = f"{sum(counts)} objects written and read back" if any(counts) else "nothing to write"
+            operator.say(f"arm {arm.name}: {said}{'; stored' if store else ''}")
         done += nodes
     return done
 

@@ -81,15 +81,12 @@ class Arms:
         Real time: time between the SYNCs of the first and the last arm, per cycle.
     enabled : bool
         All arms follow `exchange`.
-    stopped_by : int or None
-        Index of the arm whose error stopped all arms; None without an error.
     """
 
     def __init__(self, arms: Sequence[Arm], pacing: Pacing) -> None:
         self.members = tuple(arms)
         self.real = pacing == "real"
         self.skew_s: deque[float] = deque(maxlen=_KEPT)
-        self.stopped_by: int | None = None
         # each further arm may be enabling or disabling while each arm is being stopped
         self._pool = ThreadPoolExecutor(2 * len(arms) - 1, thread_name_prefix="arm") if len(arms) > 1 else None
         self._stopping: list[Future[None]] = []
@@ -236,7 +233,6 @@ class Arms:
             if not self.enabled or self._pool is None:
                 return
             self.enabled = False
-            self.stopped_by = index
             self._abandon()  # an arm in the middle of a SYNC could not be stopped by another thread
             for other, arm in enumerate(self.members):
                 if other != index:

@@ -6,7 +6,7 @@ Its loads are compared with the operator's expectation and with the ratings of t
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -353,16 +353,17 @@ def ratings(arm: ArmConfig | None) -> tuple[Rating, ...]:
     )
 
 
-def check_against_data(expected: Sequence[Expected], tables: Iterable[Table], about: AnalysisInputs) -> None:
+def check_against_data(expected: Sequence[Expected], table: Table, about: AnalysisInputs) -> None:
     """Refuse an expectation for a load that is not in the data.
 
     Raises
     ------
     InputError
-        The data lack a load; the message names its label.
+        The data lack a load; the message names its label and the files.
     """
-    present = {str(label) for table in tables for label in table.load}
-    check_expected(expected, (*sorted(present - {BARE_LABEL, *about.knowledge.known}), *about.knowledge.parts))
+    present = set(map(str, table.load)) - {BARE_LABEL, *about.knowledge.known}
+    files = ", ".join(dict.fromkeys(table.file))
+    check_expected(expected, (*sorted(present), *about.knowledge.parts), f"the data of {files}")
 
 
 def accept(result: Result, expected: Sequence[Expected], arm: ArmConfig | None) -> Result:

@@ -176,9 +176,8 @@ def inputs_from_recordings(
     bare = None if stored is None else stored.bare
     if bare is not None and robot is not None:
         refuse_other_bare(bare, robot, gravity_m_s2)
-    link_std = None if arm is None else arm.link_std
-    if request.inertials:
-        link_std = parse_inertials(request.inertials)
+    of_cell = None if arm is None else arm.link_std
+    link_std = parse_inertials(request.inertials) if request.inertials else of_cell
     bounds = load_bounds(robot, arm, trusts_masses=link_std != np.inf)
     measured = _calibrated(request, loaded, arm, [recording for recording, _ in bound])
     if stored is not None:

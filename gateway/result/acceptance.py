@@ -69,8 +69,8 @@ def parse_expected(text: str) -> Expected:
     return Expected(label.strip(), values[0], values[1])
 
 
-def check_expected(expected: Sequence[Expected], labels: Iterable[str]) -> None:
-    """Check that every expected mass is of an estimated load, and that each load has at most one.
+def check_expected(expected: Sequence[Expected], labels: Iterable[str], data: str = "these data") -> None:
+    """Check that every expected mass is of an estimated load, and that each load has at most one; `data` names files.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def check_expected(expected: Sequence[Expected], labels: Iterable[str]) -> None:
     for label in asked:
         if label not in present:
             held = ", ".join(present) or "none"
-            raise InputError(f"{OPTION} {label}: no such load is estimated from these data; they hold: {held}")
+            raise InputError(f"{OPTION} {label}: no such load is estimated from {data}; they hold: {held}")
         if asked.count(label) > 1:
             raise InputError(f"{OPTION} {label}: is given twice; give one mass and one tolerance")
 

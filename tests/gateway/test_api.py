@@ -29,8 +29,8 @@ CELL = EXAMPLES / "large" / "cell.toml"
 MODEL = api.ModelRequest(cell=CELL)
 #: What others have written programs against: a name or an argument that goes is deprecated for one version first.
 PUBLIC = {
-    "diagnose": ["data", "model", "holdout", "only", "without"],
-    "estimate": ["data", "model", "method"],
+    "diagnose": ["data", "model", "holdout", "only", "without", "expected", "operator", "say", "working"],
+    "estimate": ["data", "model", "method", "coefficient", "expected", "operator", "say", "working"],
     "load_cell": ["path"],
     "read": ["data", "model"],
     "read_result": ["path"],

@@ -6,20 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from gateway.cli import main
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
+from tests.support.rigs.command_line import run
 
 URDF = Path(__file__).parents[2] / "examples" / "small" / "robot.urdf"
 COEFFICIENT = ("--method", "coefficient", "--axis", "2", "--lever", "x_k2_m")
 GEAR = ("--gear-ratio", "210", "--gear-efficiency", "0.8", "--rated-torque", "23.875")
 TOOL = (4.0, 0.02, -0.01, 0.12)
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.fixture
@@ -326,11 +321,10 @@ def test_a_load_is_accepted_or_not_or_undecided(table, tmp_path, command):
 
 def test_what_is_expected_has_to_be_in_the_data(table):
     path = table()
-    complains(run("estimate", path, "--robot", URDF, "--expect", "toll=4,1"), 3, "toll", "tool")
-    complains(run("estimate", path, "--robot", URDF, "--expect", "tool=4"), 3, "LABEL=MASS,TOLERANCE")
-    complains(
-        run("estimate", path, "--robot", URDF, "--known", "tool=4,0,0,0", "--expect", "tool=4,1"), 3, "hold: none"
-    )
+    words = ("estimate", path, "--robot", URDF, "--expect")
+    complains(run(*words, "toll=4,1"), 3, "toll", "tool", str(path))
+    complains(run(*words, "tool=4"), 3, "LABEL=MASS,TOLERANCE")
+    complains(run(*words, "tool=4,1", "--known", "tool=4,0,0,0"), 3, "hold: none")
 
 
 @pytest.mark.slow

@@ -63,6 +63,7 @@ def test_a_bad_cell_is_named(change, words, tmp_path):
         ("[[load]]\nlabel = 'a'\nmass_kg = -1\ncom_m = [0, 0, 0]", "must be positive"),
         ("[[load]]\nlabel = 'a'\nmass_kg = nan\ncom_m = [0, 0, 0]", "finite"),
         ("[[load]]\nlabel = 'a'\nmass_kg = 1\ncom_m = [0, 0]", "three finite numbers"),
+        ("\n[[load]]\nlabel = 'a'\nmass_kg = 1\ncom_m = [0, 0, 100]", "payload.toml:2: load 1: com_m"),
         ("[[load]]\nlabel = 'none'\nmass_kg = 1\ncom_m = [0, 0, 0]", "is already used"),
         ("load = [1]", "wrong kind"),
         ("[[lode]]\nlabel = 'a'", "holds no"),

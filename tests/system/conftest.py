@@ -13,13 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from gateway.cli import main
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
 from sim.serve import RunningSimulation, running
-from tests.support.rigs.pacing import in_lockstep
+from tests.support.rigs.command_line import run as command
+from tests.support.rigs.pacing import SHORTLY, in_lockstep, measured_shortly
 from tests.support.rigs.proofs import keep_proof_of_stop
 
 SMALL = Path(__file__).parents[2] / "examples" / "small"
@@ -27,17 +28,10 @@ POSES = """[poses]
 count = 4
 approach_offset_rad = 0.03
 approach_speed_rad_s = 0.1
-samples = 20
+samples = 10
 validation = 2
 seed = 2
 """
-#: Of every axis, and of the bus: an arm that moves faster, by longer cycles, is simulated for fewer SYNCs.
-FASTER = {
-    "speed_limit_rad_s": 1.6,
-    "acceleration_limit_rad_s2": 3.0,
-    "jerk_limit_rad_s3": 30.0,
-    "sync_period_s": 0.02,
-}
 
 
 @dataclass(frozen=True)
@@ -103,11 +97,6 @@ class Drives:
         return not any(drive.automaton.energised for drive in arm.drives)
 
 
-def command(*arguments: object, **options: object) -> Result:
-    """Run the command line in this process."""
-    return CliRunner().invoke(main, [str(argument) for argument in arguments], **options)
-
-
 @pytest.fixture(autouse=True)
 def _ledgers_apart(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
@@ -124,15 +113,19 @@ def place(tmp_path) -> Place:
 
 
 @pytest.fixture
-def fast_arm(place, tmp_path_factory) -> Callable[[Drives], Drives]:
-    """The small cell with an arm that moves faster; calling it keeps a proof that the drives of this cell stop.
+def fast_cell(place) -> None:
+    """The small cell with an arm that moves faster."""
+    text = place.cell.read_text(encoding="utf-8")
+    few = {"samples": 10, "count": 4}
+    place.cell.write_text(measured_shortly(text, SHORTLY | few), encoding="utf-8")
+
+
+@pytest.fixture
+def fast_arm(place, fast_cell, tmp_path_factory) -> Callable[[Drives], Drives]:
+    """Keep a proof that the drives of the fast cell stop.
 
     Without it a command proves the stop first and then moves at a tenth of its speed, which other tests are about.
     """
-    text = place.cell.read_text(encoding="utf-8").replace("approach_speed_rad_s = 0.1", "approach_speed_rad_s = 0.2")
-    for key, limit in FASTER.items():
-        text = re.sub(rf"(?m)^{key} = .*", f"{key} = {limit}", text)
-    place.cell.write_text(text, encoding="utf-8")
 
     def proven(drives: Drives, cell: Path | None = None) -> Drives:
         keep_proof_of_stop(cell or place.cell, drives.bus, tmp_path_factory)

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 400\n' for node in range(1, 7))
-KILLED_NODE = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 400\n'
+KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 200\n' for node in range(1, 7))
+KILLED_NODE = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 200\n'
 
 
 @pytest.mark.slow

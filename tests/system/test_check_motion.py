@@ -83,7 +83,7 @@ def test_no_space_no_motion(place, gateway, serve):
 
 
 @pytest.mark.slow
-def test_a_command_that_moves_needs_the_proof_once(place, gateway, serve):
+def test_a_command_that_moves_needs_the_proof_once(place, gateway, serve, fast_cell):
     drives = serve()
     first = gateway("move", place.cell, "--bus", drives.bus, "--to", "home", "--yes")
     assert first.exit_code == 0, first.output
@@ -94,7 +94,7 @@ def test_a_command_that_moves_needs_the_proof_once(place, gateway, serve):
 
 
 @pytest.mark.slow
-def test_recording_is_refused_where_a_drive_goes_on(place, gateway, serve, commission):
+def test_recording_is_refused_where_a_drive_goes_on(place, gateway, serve, commission, fast_cell):
     drives = serve(fault=DEAF.format(2))
     done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     assert done.exit_code == 7, done.output
@@ -114,7 +114,7 @@ WRONG_TORQUE = '[[fault]]\nkind = "demand_torque"\nnode = 3\n[[fault]]\nkind = "
 
 
 @pytest.mark.slow
-def test_small_moves_of_a_good_cell_pass_and_say_what_they_cannot_see(place, gateway, serve):
+def test_small_moves_of_a_good_cell_pass_and_say_what_they_cannot_see(place, gateway, serve, fast_cell):
     drives = serve()
     done, body = check(gateway, place, drives, "--move", "--yes")
     assert done.exit_code == 0, done.output
@@ -134,21 +134,16 @@ def test_small_moves_of_a_good_cell_pass_and_say_what_they_cannot_see(place, gat
 
 
 @pytest.mark.slow
-def test_a_torque_that_is_a_demand_and_one_without_sign_are_named(place, gateway, serve):
-    done, body = check(gateway, place, serve(fault=WRONG_TORQUE), "--move", "--yes")
+def test_a_reversed_torque_a_demand_and_one_without_sign_are_named(place, gateway, serve, fast_cell):
+    drives = serve(fault=WRONG_TORQUE, effect=WRONG.format("sign_reversed", [2]))
+    done, body = check(gateway, place, drives, "--move", "--yes")
     assert done.exit_code == 7, done.output
     found = {item["where"]: item["what"] for item in failed(body)}
+    assert found["J2 node 2"] == "torque sign is reversed relative to position"
+    assert "opposite sign of the demand" in found["J2 node 2:6077:00 (torque)"]
     assert "it is a demand" in found["J3 node 3:6077:00 (torque)"]
     assert "magnitude only" in found["J4 node 4:6077:00 (torque)"]
-    assert len(found) == 2
-
-
-@pytest.mark.slow
-def test_a_reversed_torque_sign_is_named(place, gateway, serve):
-    done, body = check(gateway, place, serve(effect=WRONG.format("sign_reversed", [2])), "--move", "--yes")
-    assert done.exit_code == 7, done.output
-    says = [item["what"] for item in failed(body) if item["where"] == "J2 node 2"]
-    assert says == ["torque sign is reversed relative to position"]
+    assert len(found) == len(failed(body)) == 4
 
 
 def test_drives_whose_limits_give_them_away_are_named_before_anything_moves(place, gateway, serve):
@@ -165,7 +160,7 @@ def test_drives_whose_limits_give_them_away_are_named_before_anything_moves(plac
 
 
 @pytest.mark.slow
-def test_swapped_drives_are_named(place, gateway, serve):
+def test_swapped_drives_are_named(place, gateway, serve, fast_cell):
     """Of one ratio and one range: else the drives' software limits give them away before anything moves."""
     text = place.cell.read_text()
     for old, new in (("[-1.5, 1.8]", "[-1.5, 1.5]"), ("[-1.3, 1.8]", "[-1.5, 1.5]"), ("value = 100,", "value = 120,")):
@@ -180,7 +175,7 @@ def test_swapped_drives_are_named(place, gateway, serve):
 
 
 @pytest.mark.slow
-def test_a_wrong_gear_ratio_is_named_with_its_factor(place, gateway, serve):
+def test_a_wrong_gear_ratio_is_named_with_its_factor(place, gateway, serve, fast_cell):
     drives = serve()
     parts = place.cell.read_text().split("[[arm.axis]]")
     parts[2] = parts[2].replace("value = 120", "value = 60")

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import pytest
 
+from tests.system.conftest import with_few_poses
+
 EFFECT = '[[effect]]\nname = "sign_reversed"\njoints = [4]\n'
 
 
 @pytest.mark.slow
-def test_a_reversed_sign_is_named_with_its_axis(serve, commission, fast_arm):
+def test_a_reversed_sign_is_named_with_its_axis(place, serve, commission, fast_arm):
+    with_few_poses(place)
     drives = fast_arm(serve(effect=EFFECT))
     code, result, hands, output = commission(drives)
     assert code == 7, output.err

@@ -58,6 +58,7 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
 
 @pytest.mark.slow
 def test_a_load_that_was_forgotten_is_asked_for_and_never_green(place, serve, commission, fast_arm):
+    with_few_poses(place)
     code, result, _, output = commission(fast_arm(serve()), "--expect", "load=6.0,0.2", forgets=True)
     assert code == 7
     assert "kg: no load detected. Is it mounted?" in output.err
@@ -99,13 +100,18 @@ def test_earlier_files_keep_their_names_where_a_person_does_not_agree(place, ser
 
 
 @pytest.mark.slow
-def test_earlier_files_are_renamed_once_a_person_has_agreed(place, serve, commission, fast_arm):
+def test_earlier_files_are_renamed_once_a_person_has_agreed_and_a_load_not_mounted_ends_it(
+    place, serve, commission, fast_arm
+):
     with_few_poses(place)
     out = place.folder / "out"
     out.mkdir()
     (out / "run.h5").write_text("earlier")
-    code, _, _, output = commission(fast_arm(serve()), mounts=False)
-    assert code == 130
+    drives = fast_arm(serve())
+    code, result, _, output = commission(drives, mounts=False)
+    assert (code, result) == (130, None)
+    assert drives.stand_still()
+    assert "kept" in output.err
     assert (out / "run.1.h5").read_text() == "earlier"
     assert "Measured data" in output.err
 
@@ -141,14 +147,3 @@ def test_a_job_that_broke_is_gone_on_with(place, serve, commission, fast_arm):
     code, result, _, output = commission(fast_arm(serve()), "--resume")
     assert code == 0, output.err
     assert result["loads"][0]["mass_kg"] == pytest.approx(TRUTH_KG, rel=0.02)
-
-
-@pytest.mark.slow
-def test_a_load_that_is_not_mounted_ends_the_command(place, serve, commission, fast_arm):
-    with_few_poses(place)
-    drives = fast_arm(serve())
-    code, result, _, output = commission(drives, mounts=False)
-    assert code == 130
-    assert result is None
-    assert drives.stand_still()
-    assert "kept" in output.err

@@ -6,6 +6,7 @@ import shlex
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("fast_cell")
 #: Near to where the simulator's arm is at first.
 NEAR = "0.05,-0.05,0.1,0.05,-0.05,0.1"
 
@@ -49,6 +50,9 @@ def test_there_and_home_again_after_the_proof(place, gateway, serve):
     assert there.exit_code == 0, there.output
     assert "every drive stopped by itself" in there.stderr
     assert drives.stand_still()
+    refused = move(gateway, place, drives, "9,0,0,0,0,0", "--yes")
+    assert refused.exit_code == 5, refused.output
+    assert not list((place.folder / "state").rglob("*.blackbox.h5")), "no move was stopped"
     home = move(gateway, place, drives, "home", "--yes", "--override", 60)
     assert home.exit_code == 0, home.output
     assert "from [0.050, -0.050, 0.100, 0.050, -0.050, 0.100] rad (" in said(home)
@@ -92,10 +96,11 @@ def test_a_posture_of_the_cell_outside_its_limits_is_refused(place, gateway):
 
 @pytest.mark.slow
 def test_a_lost_drive_ends_it_in_the_brakes(place, gateway, serve):
-    drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 1500\n')
+    drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 300\n')
     done = move(gateway, place, drives, "home", "--yes")
     assert done.exit_code == 4, done.output
     assert "node 5" in done.stderr
+    assert "every drive stopped by itself" in done.stderr, "the fault comes after the proof"
     assert drives.stand_still()
 
 

@@ -31,7 +31,7 @@ from tests.system.conftest import command
 OWN = Path(__file__).parents[2] / "examples" / "own"
 MOST_COMMANDS, MOST_ANSWERS = 8, 40
 #: Few poses, taken fast: this tests the procedure, not the accuracy.
-POSES = "poses = { count = 3, validation = 0, samples = 10, approach_speed_rad_s = 0.2 }\nsync_period_s = 0.02\n"
+POSES = "poses = { count = 3, validation = 0, samples = 10, approach_speed_rad_s = 0.2 }\nsync_period_s = 0.04\n"
 LOCKSTEP = ("--pacing", "lockstep")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 import uuid
 from contextlib import contextmanager
@@ -211,3 +212,19 @@ def test_one_spec_for_two_buses_is_refused(place, gateway, command):
         done = gateway(command, place.cell, "--bus", channels[0])
         assert done.exit_code == 3, done.output
         assert "NAME=SPEC;NAME=SPEC with a, b" in done.stderr
+
+
+def test_what_was_written_to_one_arm_is_said_where_the_next_refuses_it(place, gateway):
+    with two_arms(place) as (channels_text, _, simulation):
+        assert gateway("config", "dump", place.cell, "--bus", channels_text).exit_code == 0
+        for arm, section, value in (("main", "6066", 40), ("other", "605E", 77)):
+            path = place.folder / "dcf" / arm / "2.dcf"
+            head, own = path.read_text().split(f"\n[{section}]\n")
+            path.write_text(
+                f"{head}\n[{section}]\n{re.sub('ParameterValue=.*', f'ParameterValue={value}', own, count=1)}"
+            )
+        done = gateway("config", "apply", place.cell, "--yes", "--bus", channels_text)
+        assert done.exit_code == 4, done.output
+        assert "arm main: 1 objects written" in done.stdout
+        assert "arm other" not in done.stdout
+        assert simulation.arms[0].drives[1].store.number((0x6066, 0)) == 40

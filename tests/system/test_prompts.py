@@ -24,6 +24,7 @@ from gateway.motion.stops import StoppedByPerson
 from sim.faults import act, fault_of
 from sim.states import PdsState
 from tests.support.rigs.brakes import in_brakes
+from tests.system.conftest import with_few_poses
 
 HEARTBEAT = "heartbeat is"
 
@@ -149,6 +150,7 @@ def test_what_happens_while_a_load_is_mounted_is_read_from_the_drives(
     place, serve, fast_arm, monkeypatch, capsys, happens, code, said
 ):
     """The arm was under power before; a person answers after something has happened to a drive."""
+    with_few_poses(place)
     drives = fast_arm(serve())
     simulation = drives.handle.simulation
     done = threading.Event()

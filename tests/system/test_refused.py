@@ -126,20 +126,20 @@ def test_a_drive_that_must_not_be_used(place, gateway, serve, kind, says):
 @pytest.mark.slow
 def test_an_incomplete_epoch_is_sampled_again(place, gateway, serve, fast_arm):
     lost = '[[fault]]\nkind = "tpdo_lost"\nnode = 4\nsyncs = 1\nat_sync = {}\n'
-    drives = serve(fault="".join(lost.format(sync) for sync in range(300, 6600, 60)))
-    cell = place.variant("long", ("samples = 20", "samples = 60"), ("count = 4", "count = 2"))
+    drives = serve(fault="".join(lost.format(sync) for sync in range(150, 1500, 50)))
+    cell = place.variant("long", ("samples = 10", "samples = 30"), ("count = 4", "count = 2"))
     fast_arm(drives, cell)
     done = gateway("record", cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     assert done.exit_code == 0, done.output
     assert "not answered by J4" in done.stderr
     (arm,) = place.recording().arms
     assert sum(visit.incomplete_epochs for visit in arm.visits) > 0
-    assert all(len(visit) == 60 for visit in arm.visits)
+    assert all(len(visit) == 30 for visit in arm.visits)
 
 
 @pytest.mark.slow
 def test_a_pose_that_never_settles(place, gateway, serve, fast_arm):
-    drives = serve(fault='[[fault]]\nkind = "never_settles"\nnode = 2\nat_sync = 1000\n')
+    drives = serve(fault='[[fault]]\nkind = "never_settles"\nnode = 2\nat_sync = 300\n')
     cell = place.variant("short", ("[poses]", "[poses]\nsettle_timeout_s = 2.0"))
     fast_arm(drives, cell)
     done = gateway("record", cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
@@ -153,7 +153,7 @@ def test_a_pose_that_never_settles(place, gateway, serve, fast_arm):
 @pytest.mark.slow
 def test_a_drive_that_faults_in_motion_and_the_run_is_resumed(place, gateway, serve, fast_arm):
     with_few_poses(place)
-    drives = fast_arm(serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 700\n'))
+    drives = fast_arm(serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 250\n'))
     done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     complains(done, 4, "node 5")
     assert drives.stand_still()

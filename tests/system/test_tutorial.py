@@ -23,11 +23,13 @@ import pytest
 from gateway.jobs.rehearse import rehearse
 from sim.cellfile import read_payloads
 from sim.serve import free_bus, wait_until_ready
-from tests.support.rigs.pacing import measured_shortly
+from tests.support.rigs.pacing import SHORTLY, measured_shortly
 from tests.system.conftest import command
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+#: Of the motor on a bench, which is moved by longer setpoints than an arm.
+AS_TYPED = {"sync_period_s": 0.02, "approach_speed_rad_s": 0.15, "samples": 30, "count": 6, "validation": 2}
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -65,7 +67,8 @@ def typed_page(
     for name in examples:
         shutil.copytree(ROOT / "examples" / name, tmp_path / "examples" / name)
     for cell in (tmp_path / "examples").rglob("cell.toml"):
-        cell.write_text(measured_shortly(cell.read_text(encoding="utf-8").replace(port, free)), encoding="utf-8")
+        text = cell.read_text(encoding="utf-8").replace(port, free)
+        cell.write_text(measured_shortly(text, AS_TYPED if "bench" in examples else SHORTLY), encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.chdir(tmp_path)
     typed = []

@@ -9,24 +9,6 @@ from gateway.identify.tuned_number import RUNS, threshold
 
 
 @dataclass(frozen=True, slots=True)
-class Demands:
-    """Thresholds for the acceptance of an effect.
-
-    Attributes
-    ----------
-    ratio : largest ratio of the held-out RMS of its axes with the effect to that without it
-    p_demand : largest p-value on the fitted rows, times the number of tried candidates
-    p_held : largest p-value of the drop of the held-out error
-    blocks_better : smallest share of held-out blocks that improve
-    """
-
-    ratio: float
-    p_demand: float
-    p_held: float
-    blocks_better: float
-
-
-@dataclass(frozen=True, slots=True)
 class MovingThresholds:
     """Thresholds of the diagnosis in motion."""
 
@@ -45,13 +27,23 @@ class MovingThresholds:
         2.0, "s", "shortest run for holding out any rows", "about ten correlation times of a drive's current"
     )
     # what is named
-    ordinary: Demands = threshold(Demands(0.90, 5e-3, 0.02, 0.5), "", "acceptance of effects that every gear has", RUNS)
-    special: Demands = threshold(Demands(0.70, 1e-3, 0.02, 0.75), "", "acceptance of a fault or an extra part", RUNS)
-    special_all_axes: Demands = threshold(
-        Demands(0.85, 1e-3, 0.02, 0.75),
-        "",
-        "acceptance of a fault or an extra part that acts on more than two axes",
-        RUNS,
+    sure: float = threshold(
+        20.0,
+        "log likelihood",
+        "smallest gain on held-out rows, without the block that gains most, of an effect",
+        "blind arms in motion: 23 at most on 14 without a mechanism, 33 and more of eight strong ones",
+    )
+    sure_if_visible: float = threshold(
+        3.0, "log likelihood", "the same of an effect that lowers the held-out residual visibly", "log of 20"
+    )
+    visible_ratio: float = threshold(
+        0.70, "", "held-out ratio up to which the residual is visibly lower: half of its square", RUNS
+    )
+    demanded: float = threshold(
+        1e-3, "", "largest p-value of an effect on the fitted rows, times the number of tried candidates", RUNS
+    )
+    common_ratio: float = threshold(
+        0.90, "", "largest held-out ratio of an effect that every gear has to some extent: less is not reported", RUNS
     )
     rare: float = threshold(30.0, "", "prior odds of another friction curve against a fault or an extra part", RUNS)
     naming_odds: float = threshold(10.0, "", "odds below which a runner-up contests an effect", RUNS)
@@ -75,12 +67,6 @@ class MovingThresholds:
     structure_ratio: float = threshold(
         0.87, "", "held-out ratio of an unnamed torque curve below which structure remains", RUNS
     )
-    structure_p: float = threshold(
-        1e-3,
-        "",
-        "p-value below which structure remains",
-        "one false alarm in a thousand, over seven shapes and six axes one in twenty",
-    )
     near_floor: float = threshold(
         1.41,
         "",
@@ -92,9 +78,6 @@ class MovingThresholds:
         "",
         "ratio of held-out to fitted RMS above which the motion is not rich enough",
         "held-out variance four times that of the fit",
-    )
-    quiet: float = threshold(
-        0.1, "", "share of the mean square that is added to each stretch, so that small ones count little", RUNS
     )
     # commissioning mistakes
     mistake: float = threshold(

@@ -283,6 +283,11 @@ def prior_precision(term: Term) -> Floats:
     return np.nan_to_num(np.array(term.spread[: term.count]) ** -2.0)
 
 
+def penalty_of(fit: MovingFit, value: Floats) -> float:
+    """Squared distance of parameters (P,) of a fit from the mean of their prior, in its standard deviations."""
+    return fit.null.columns.prior.beside(prior_of(fit.terms)).penalty(value)
+
+
 def prior_of(terms: Sequence[Term]) -> Prior:
     """Prior of the linear parameters of effects."""
     precision = np.concatenate([np.zeros(0), *(prior_precision(term) for term in terms)])

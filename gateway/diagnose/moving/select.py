@@ -1,9 +1,9 @@
 """Stepwise selection: effects are added while the held-out error drops, then each is tested again.
 
-An effect is accepted if three criteria agree. The fitted rows require it (F test, Bonferroni over all tried effects).
-The held-out error of its axes drops by more than a minimum. The drop is spread over the held-out time. Effects that are
-common in gears have lower thresholds than faults or extra parts. Families with nonlinear shape parameters have their
-shape selected.
+An effect is accepted if two criteria agree. The fitted rows require it (F test, Bonferroni over all tried effects). The
+held-out rows gain by it, also without the block of time that gains most; less where the held-out error drops visibly.
+An effect that every gear has to some extent always has to lower that error. Families with nonlinear shape parameters
+have their shape selected.
 
 The remaining residual is tested for dependence on the motion. Columns without a physical cause (harmonics of the
 angles, speeds, motion of the neighbours, another friction in the last run) are tried like effects. If they improve
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from gateway.diagnose.held_out_residuals import NOT_HELD, HeldRatio
-from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING, Demands
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.moving.penalised_fit import MovingProblem, fit, prior_precision
 from gateway.diagnose.moving.trial import (
     MovingState,
@@ -137,13 +137,6 @@ def coupling_cost(problem: MovingProblem, others: Sequence[Term], term: MotorCou
     return fit(clamped, (*others, member), ~problem.motion.held_out, problem.motion.held_out).cost
 
 
-def demands(term: Term, axes: int) -> Demands:
-    """Return the acceptance thresholds of this effect on an arm with this number of axes."""
-    if term.is_common:
-        return MOVING.ordinary
-    return MOVING.special_all_axes if len(term.enters(axes)) > 2 else MOVING.special
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
     """Effect in the final model: its terms, its trial against the model without it, and the runner-up's trial.
@@ -170,15 +163,17 @@ class Chosen:
         return sorted({axis for term in self.terms for axis in term.enters(count)})
 
 
-def is_significant(problem: MovingProblem, trial: Trial, tried: int) -> bool:
+def least_gain(trial: Trial, visible: float) -> float:
+    """Return the gain that an effect needs: little if it lowers the residual visibly and links cannot imitate it."""
+    return MOVING.sure_if_visible if trial.ratio <= visible and trial.term.name not in DRAWN else MOVING.sure
+
+
+def is_significant(trial: Trial, tried: int) -> bool:
     """Return True if a trial meets its thresholds."""
-    need = demands(trial.term, problem.motion.axes)
     return (
-        trial.ratio <= need.ratio
-        and trial.gain > 0
-        and trial.p_demand * tried * trial.term.tries <= need.p_demand
-        and trial.p_held <= need.p_held
-        and trial.blocks_better >= need.blocks_better
+        trial.sure >= least_gain(trial, MOVING.visible_ratio)
+        and trial.p_demand * tried * trial.term.tries <= MOVING.demanded
+        and (trial.ratio <= MOVING.common_ratio or not trial.term.is_common)
     )
 
 
@@ -230,9 +225,8 @@ def _best(problem: MovingProblem, state: MovingState, pool: Sequence[Term], trie
     terms = _open(state, pool)
     if not terms:
         return None
-    hopeless = max(need.p_demand for need in (MOVING.ordinary, MOVING.special)) / tried
     for most in (MOVING.runners, None):
-        trials = trials_of(problem, state.fits, state.full, terms, hopeless, most)
+        trials = trials_of(problem, state.fits, state.full, terms, MOVING.demanded / tried, most)
         good = [trial for trial in trials if trial is not None and _proven(problem, state, trial, tried)]
         if good:
             return max(good, key=lambda trial: trial.gain)
@@ -242,7 +236,7 @@ def _best(problem: MovingProblem, state: MovingState, pool: Sequence[Term], trie
 def _proven(problem: MovingProblem, state: MovingState, trial: Trial, tried: int) -> bool:
     """Return True if a trial meets its thresholds, exceeds the nuisance prior and is physically possible."""
     return (
-        is_significant(problem, trial, tried)
+        is_significant(trial, tried)
         and beyond_usual(problem, trial.term, trial.value, trial.covariance)
         and possible(problem, state.full, trial.term, trial.value, trial.covariance)
     )
@@ -264,10 +258,11 @@ def without_idle(problem: MovingProblem, state: MovingState) -> MovingState:
 
 
 def _needed(problem: MovingProblem, trial: Trial) -> bool:
-    need = demands(trial.term, problem.motion.axes)
+    """Return True if an effect of a model still does half of what it was accepted for."""
     if not beyond_usual(problem, trial.term, trial.value, trial.covariance):
         return False
-    return trial.ratio <= 0.5 * (1.0 + need.ratio) and trial.gain > 0 and trial.p_held <= 2.0 * need.p_held
+    visible, common = (0.5 * (1.0 + ratio) for ratio in (MOVING.visible_ratio, MOVING.common_ratio))
+    return trial.sure >= 0.5 * least_gain(trial, visible) and (trial.ratio <= common or not trial.term.is_common)
 
 
 def penalty(term: Term) -> float:
@@ -303,7 +298,7 @@ def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -
             own.gain - penalty(mine[0]) - (max(runner.gain - penalty(runner.term), 0.0) if runner is not None else 0.0)
         )
         odds = float(np.exp(np.clip(lead, -27.0, 27.0)))
-        rival = runner is not None and is_significant(problem, runner, len(pool))
+        rival = runner is not None and is_significant(runner, len(pool))
         out.append(Chosen(mine, own, runner, odds, odds < MOVING.naming_odds, rival))
     return out
 
@@ -320,11 +315,7 @@ def structured_axes(problem: MovingProblem, state: MovingState) -> dict[int, flo
 
 
 def _convinces(trial: Trial) -> bool:
-    return (
-        trial.ratio <= MOVING.structure_ratio
-        and trial.p_held <= 10.0 * MOVING.structure_p
-        and trial.p_demand <= MOVING.structure_p
-    )
+    return trial.ratio <= MOVING.structure_ratio and trial.sure >= MOVING.sure and trial.p_demand <= MOVING.demanded
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc, stdtr
+from scipy.special import fdtrc
 
 from gateway.diagnose.held_out_residuals import Held
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.moving.moving_rows import blocks
 from gateway.diagnose.moving.null_model import noise_of, scaled_to
-from gateway.diagnose.moving.penalised_fit import INDEPENDENT, MovingFit, MovingProblem, fit, prior_precision
+from gateway.diagnose.moving.penalised_fit import (
+    INDEPENDENT,
+    MovingFit,
+    MovingProblem,
+    fit,
+    penalty_of,
+    prior_precision,
+)
 from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.spread import counting_share, jackknife, wider
 from gateway.model.effect import MotionSetup
@@ -26,12 +33,11 @@ from gateway.result.numerals import TWO_SIDED_95
 
 Floats = NDArray[np.float64]
 
-#: Stretches of time [-] that a held-out gain is spread over: fewer have no scatter, more are not independent.
-FEWEST_STRETCHES, MOST_STRETCHES = 6, 24
 # Coefficients, their covariance, change of the other parameters with its sign turned, drop of the cost.
 Step = tuple[Floats, Floats, Floats, float]
-# Coefficients, their covariance, log of the probability that the fitted rows demand as much by chance.
-Solved = tuple[Floats, Floats, float]
+# Coefficients, their covariance, log of the probability that the fitted rows demand as much by chance, and how much the
+# log prior of all parameters rises.
+Solved = tuple[Floats, Floats, float, float]
 
 
 def candidates(problem: MovingProblem, full: MovingFit, allowed: frozenset[str]) -> list[Term]:
@@ -74,13 +80,12 @@ class Trial:
     ratio : float
         Held-out RMS with over without it, pooled over the effect's axes.
     gain : float
-        Held-out log likelihood gained over all axes, correlated rows counted once.
+        Held-out log likelihood gained over all axes, correlated rows counted once, and log prior of the parameters.
+        Links far from the robot model also fit what an effect explains.
+    sure : float
+        The same without the held-out block that gains most: a touch or a caught cable there proves no effect.
     p_demand : float
         P-value of the effect on the fitted rows (F test, prior included).
-    p_held : float
-        P-value of the drop of the held-out error (one-sided t test over stretches of time).
-    blocks_better : float
-        Share of the held-out blocks that got better on the effect's axes.
     value : array of shape (k,)
         Coefficients in the fit to all rows; NaN where the columns are collinear with the model.
     covariance : array of shape (k, k)
@@ -90,9 +95,8 @@ class Trial:
     term: Term
     ratio: float
     gain: float
+    sure: float
     p_demand: float
-    p_held: float
-    blocks_better: float
     value: Floats
     covariance: Floats
     held: Held
@@ -204,9 +208,11 @@ def _hold_out(
                 residuals[number][rows] += moved * before.counted[rows]
     out = []
     for term, on_fitted, residual in zip(terms, asked, residuals, strict=True):
-        value, covariance, _, _ = on_fitted.step
+        value, covariance, lead, _ = on_fitted.step
+        full, own = on_fitted.full, float((prior_precision(term) * value**2).sum())
+        eased = 0.5 * (penalty_of(full, full.value) - penalty_of(full, full.value - lead) - own)
         after = Held(residual * before.counted, before.counted)
-        out.append(judge(problem, fits, term, before, after, (value, covariance, on_fitted.log_p)))
+        out.append(judge(problem, fits, term, before, after, (value, covariance, on_fitted.log_p, eased)))
     return out
 
 
@@ -282,7 +288,7 @@ def judge(
     solved: Solved,
 ) -> Trial:
     """Compute the figures of a trial from held-out residuals `before` and `after` adding the effect."""
-    value, covariance, log_p = solved
+    value, covariance, log_p, eased = solved
     noise, axes = problem.noise, list(term.enters(problem.motion.axes))
     old, new = before.square, after.square
     there = before.counted.any(axis=0) & (old > 0)
@@ -295,16 +301,18 @@ def judge(
     effective = share * before.counted.sum(axis=0)
     scale = noise.sigma_nm if len(own) > 2 else np.ones(len(old))
     ratio = after.over(before, own, scale)
-    was, now = (((held.residual_nm[:, own] / noise.sigma_nm[own]) ** 2).sum(axis=1) for held in (before, after))
-    better = [float((was - now)[fit.test].sum()) > 0 for fit in fits]
-    rows = before.counted[:, own].any(axis=1)
+    gain = float(0.5 * (effective * log).sum())
+    # share of each block in the drop of the squares, each axis by what is left of it
+    left = np.where(there, np.maximum(new, 1e-300), np.inf) / np.maximum(effective, 1e-300)
+    drop = (before.residual_nm**2 - after.residual_nm**2) / left
+    blocks = np.array([drop[fit.test].sum() for fit in fits])
+    most = blocks.max() / blocks.sum() if gain > 0 and blocks.sum() > 0 else 0.0
     return Trial(
         term=term,
         ratio=ratio,
-        gain=float(0.5 * (effective * log).sum()),
+        gain=gain + eased,
+        sure=gain * (1.0 - most) + eased,
         p_demand=float(np.exp(log_p)),
-        p_held=drop_by_chance(was[rows], now[rows]),
-        blocks_better=float(np.mean(better)),
         value=value,
         covariance=covariance,
         held=after,
@@ -337,28 +345,6 @@ def _log_demand(
     share = max(drop / left * min(freedom, counted) / count, 0.0)
     with np.errstate(divide="ignore"):  # a p too small for a number is 0, its log minus infinity
         return float(np.log(fdtrc(count, freedom, share)))
-
-
-def drop_by_chance(before: Floats, after: Floats) -> float:
-    """One-sided p-value of the drop of the held-out squares (n,) of an autocorrelated series.
-
-    The log ratios over 6 to 24 stretches of about one correlation time are put to a t test. Part of the mean is added
-    to both sides, so that stretches with a small error count little.
-    """
-    count = int(np.clip(len(before) * counting_share(before - after), FEWEST_STRETCHES, MOST_STRETCHES))
-    if len(before) < 2 * count or not before.any():
-        return 1.0
-    floor = MOVING.quiet * before.mean()
-    logs = np.array(
-        [
-            np.log((new.mean() + floor) / (old.mean() + floor))
-            for old, new in zip(np.array_split(before, count), np.array_split(after, count), strict=True)
-        ]
-    )
-    spread = logs.std(ddof=1)
-    if spread == 0:
-        return 1.0 if logs.mean() >= 0 else 0.0
-    return float(stdtr(count - 1, logs.mean() / spread * np.sqrt(count)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -410,7 +396,8 @@ def compare(problem: MovingProblem, smaller: MovingState, larger: MovingState, t
     value, covariance = larger.full.value[where], larger.full.inverse[np.ix_(where, where)]
     drop = smaller.full.cost - larger.full.cost
     log_p = demand(problem, smaller.full, axes, (covariance, drop, larger.full.residual_nm[:, axes]))
-    return judge(problem, larger.fits, term, smaller.held, larger.held, (value, covariance, log_p))
+    eased = 0.5 * (penalty_of(smaller.full, smaller.full.value) - penalty_of(larger.full, larger.full.value))
+    return judge(problem, larger.fits, term, smaller.held, larger.held, (value, covariance, log_p, eased))
 
 
 def refitted(problem: MovingProblem, smaller: MovingState, term: Term) -> Trial:

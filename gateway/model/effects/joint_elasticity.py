@@ -19,8 +19,6 @@ Floats = NDArray[np.float64]
 
 #: Largest gear deflection under the largest torque [rad].
 LARGEST_WIND_UP_RAD: Final = 0.05
-#: Axes (from 0) with enough torque for their deflection to be visible in the torque of a moving arm.
-STRONG_AXES: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +61,7 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
     # a secondary encoder shows the elasticity of its joint by itself
-    for axis in range(min(STRONG_AXES, motion.axes)):
+    for axis in measured_axes(motion):
         if not np.isfinite(motion.wind_up_rad[0, axis]):
             yield JointElasticity(axis)
 

@@ -73,20 +73,21 @@ class LinkMass(OnAxis):
 
         A negative mass corrects a CAD mass that is too large.
         """
-        if self.drawn is None:
-            return True
-        mass, moment = np.split(np.array(self.drawn) + theta, [1])
-        most = float(mass[0]) + BOUND_SIGMAS * float(std[0])
-        far = float(np.linalg.norm(moment)) - BOUND_SIGMAS * float(np.linalg.norm(std[1:]))
-        return bool(most > 0.0 and far < FARTHEST_M * most and theta[0] - BOUND_SIGMAS * std[0] < self.arm_kg)
+        return self.drawn is None or _is_body(np.array(self.drawn) + theta, std, theta[0], self.arm_kg)
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """Return True: at rest the same columns correct a CAD mass that is too large, so that the sign is free."""
-        arm = float(np.nansum(seen.motion.robot.mass_kg))
-        return bool(0.0 < value[0] < arm and np.linalg.norm(value[1:]) < FARTHEST_M * value[0])
+        """Return True if it may be a body: at rest the columns also correct a CAD mass, so that the sign is free."""
+        return _is_body(value, std, value[0], float(np.nansum(seen.motion.robot.mass_kg)))
 
     def named(self, theta: Floats) -> Named:
         return OnAxis.named(self, theta) | {"first_moment_kg_m": float(np.linalg.norm(theta[1:]))}
+
+
+def _is_body(body: Floats, std: Floats, added_kg: float, arm_kg: float) -> bool:
+    """Return True if [m, hx, hy, hz] with standard deviations may be a body, and what is added lighter than the arm."""
+    most = float(body[0]) + BOUND_SIGMAS * float(std[0])
+    far = float(np.linalg.norm(body[1:])) - BOUND_SIGMAS * float(np.linalg.norm(std[1:]))
+    return bool(most > 0.0 and far < FARTHEST_M * most and added_kg - BOUND_SIGMAS * std[0] < arm_kg)
 
 
 def _links(axes: int) -> range:

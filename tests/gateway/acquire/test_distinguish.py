@@ -7,22 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from gateway.cli import main
 from sim.cellfile import read_cell
 from sim.effects import apply_effects
 from sim.nominal import plant_of
 from sim.offline import PlannedVisit, Protocol, gravity_columns, measure, point_jacobian
 from sim.plant import Payload
+from tests.support.rigs.command_line import run
 
 CELL = Path(__file__).parents[3] / "examples" / "large" / "cell.toml"
 ELASTIC = {"name": "joint_elasticity", "joints": [2], "parameters": {"compliance_rad_nm": 2e-6}}
 LOADS = {"tool": Payload("tool", 60.0, np.array([0.05, 0.0, 0.15]))}
-
-
-def run(*words):
-    return CliRunner(env={"COLUMNS": "200"}).invoke(main, [str(word) for word in words])
 
 
 def seen_strength(poses, noise_nm):

@@ -92,6 +92,7 @@ def test_two_results_are_compared(tmp_path):
     assert mass["difference"] == pytest.approx(0.3)
     assert "Before and after" in page.read_text(encoding="utf-8")
     assert run("compare", before, after, "--tolerance", "mass=20%,com=50mm").exit_code == 0
+    assert "given: 1;" in run("compare", before).output
     same = run("compare", before, before)
     assert (same.exit_code, "verdict: unchanged" in same.stdout) == (0, True)
 

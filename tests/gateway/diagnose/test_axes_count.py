@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from gateway.cli import main
 from gateway.data.rows import MOVING
 from gateway.data.table import write_csv
 from sim.cellfile import read_cell
@@ -19,6 +17,7 @@ from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 from sim.plant import Payload
 from tests.cells import CELLS
 from tests.data.arms import peer_of, sines, torque_of
+from tests.support.rigs.command_line import run as command
 from tests.support.rigs.tables import make_table, simulated_table
 
 LOAD = Payload("tool", 3.0, np.array([0.05, -0.03, 0.06]))
@@ -35,10 +34,6 @@ def arm(request):
 @pytest.fixture(autouse=True)
 def _ledgers_apart(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-
-
-def command(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def table(arm, path: Path, effects=(), poses: int = 16, seed: int = 5) -> Path:

@@ -84,7 +84,7 @@ def test_a_label_that_no_row_carries_is_refused(table, arm):
 def test_intervals_of_the_constants_hold_where_the_weight_was_measured_with_an_error(arm, poses, measured):
     """The weight is 20 g and 3 mm off what is stated, one standard deviation each; it narrows the intervals."""
     rng, axes, held, narrower = np.random.default_rng(8), np.array([1, 2, 3, 4]), 0, []
-    cells = 40
+    cells = 20
     for _ in range(cells):
         gain = rng.normal(0.0, 0.03, 6)
         made = measured(arm, poses, {"none": None, "weight": WEIGHT}, rng, left=0.01)

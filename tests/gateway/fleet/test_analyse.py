@@ -8,10 +8,8 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
 
 from gateway.cell.config import load_cell
-from gateway.cli import main
 from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import InputError
 from gateway.fleet import workers as workers_module
@@ -24,6 +22,7 @@ from gateway.result.fleet import FleetHealth, RobotLine, read_fleet, read_robot
 from gateway.result.origin import sealed
 from tests.data.fleets import FIRST, checks, one_by_one, write_table
 from tests.data.visits import ARM_HEADER, CELL, header_of, visit
+from tests.support.rigs.command_line import run
 
 DAYS = 200
 NOW = FIRST.replace(tzinfo=UTC) + timedelta(days=DAYS)
@@ -159,10 +158,6 @@ def here(monkeypatch: pytest.MonkeyPatch):
         yield one_by_one
 
     monkeypatch.setattr(workers_module, "workers", alone)
-
-
-def run(*words: object):
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 @pytest.mark.usefixtures("here")

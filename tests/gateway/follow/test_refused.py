@@ -10,6 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
+from gateway.errors import GatewayError
+from gateway.jobs.cell_context import locked_cell
+from gateway.jobs.follow import follow
+from gateway.jobs.frame import Operator, stoppable
 from gateway.result.drawn import Drawn
 from gateway.result.result import LoadResult, Result, to_json
 
@@ -56,31 +60,25 @@ def run(cell, result, *more):
 )
 def test_a_load_that_may_not_be_fed_is_refused(cell, result, code, words):
     done = run(cell, result, "--yes")
-    assert done.exit_code == code, done.output
-    assert words in done.output
-    assert done.output.count("error:") == 1
-
-
-def test_a_profile_without_the_objects_is_refused(cell):
-    change(cell, 'profile = "generic-cia402"', 'profile = "kollmorgen-akd-x00606"')
-    done = run(cell, RESULT, "--yes")
-    assert (done.exit_code, "axis 1 (node 1, kollmorgen-akd-x00606)" in done.output) == (3, True)
-
-
-def test_a_cell_that_does_not_say_what_the_arm_may_carry_is_refused(cell):
-    change(cell, "rated_load_kg", "# rated_load_kg")
-    done = run(cell, RESULT, "--yes")
-    assert (done.exit_code, "rated_load_kg is missing" in done.output) == (3, True)
+    said = words in done.output, done.output.count("error:")
+    assert (done.exit_code, *said) == (code, True, 1), done.output
+    load = None if result is None else cell.parent / "r.json"
+    with pytest.raises(GatewayError, match=words) as refused, locked_cell(cell) as context, stoppable() as options:
+        follow(context, cell.parent / "path.toml", load, Operator(ask=lambda _what, _meanwhile: None), options)
+    assert refused.value.exit_code == code
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    ("old", "new", "words"),
     [
-        ("rotor_inertia_kg_m2 = { value = 220,", "rotor_inertia_kg_m2 = { value = -1,"),
-        ("rated_load_kg = { value = 165,", "rated_load_kg = { value = 0,"),
-        ("rotor_inertia_kg_m2 = { value = 220, source", "rotor_inertia_kg_m2 = { value = 220 } #"),
+        ("rotor_inertia_kg_m2 = { value = 220,", "rotor_inertia_kg_m2 = { value = -1,", "rotor_inertia_kg_m2"),
+        ("rated_load_kg = { value = 165,", "rated_load_kg = { value = 0,", "rated_load_kg"),
+        ("rotor_inertia_kg_m2 = { value = 220, source", "rotor_inertia_kg_m2 = { value = 220 } #", "source"),
+        ("rated_load_kg", "# rated_load_kg", "rated_load_kg is missing"),
+        ('"generic-cia402"', '"kollmorgen-akd-x00606"', "axis 1 (node 1, kollmorgen-akd-x00606)"),
     ],
 )
-def test_constants_that_cannot_be_are_refused(cell, old, new):
+def test_a_cell_without_constants_or_objects_is_refused(cell, old, new, words):
     change(cell, old, new)
-    assert run(cell, RESULT, "--yes").exit_code == 3
+    done = run(cell, RESULT, "--yes")
+    assert (done.exit_code, words in done.output) == (3, True), done.output

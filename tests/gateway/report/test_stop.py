@@ -6,22 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from gateway.cli import main
 from gateway.data.blackbox.part import BoxHeader, pack, width_of
 from gateway.data.blackbox.ring_buffer import BOTH_KILLED, Ring, folder_of
 from gateway.report.stop import PIECES, courses, curves_of, render_stop
 from tests.support.pages.stop import AXES, CELL, PERIOD_S, REASON, SYNCS, stopped
+from tests.support.rigs.command_line import run
 
 
 @pytest.fixture(scope="module")
 def box(tmp_path_factory):
     return stopped(tmp_path_factory.mktemp("stopped"))
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def test_every_axis_has_torque_error_and_speed_with_units(box):

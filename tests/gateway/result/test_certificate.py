@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from lxml import etree
 
-from gateway.cli import main
 from gateway.result.certificate import certificate
 from gateway.result.dcc import certificate_xml, software_sha256
 from gateway.result.result import from_json, to_json
 from tests.support.pages.result import full_result
+from tests.support.rigs.command_line import run
 
 SCHEMA = Path(__file__).parents[2] / "support" / "certificate" / "dcc.xsd"
 NAMES = {"d": "https://ptb.de/dcc", "s": "https://ptb.de/si"}
@@ -170,10 +169,6 @@ def written(tmp_path, plain):
     path = tmp_path / "result.json"
     path.write_text(to_json(as_result(plain)))
     return path
-
-
-def run(*words):
-    return CliRunner(env={"COLUMNS": "200"}).invoke(main, [str(word) for word in words])
 
 
 def test_export_writes_the_certificate_and_says_that_it_is_not_traceable(tmp_path, plain, schema):

@@ -4,11 +4,10 @@ import hashlib
 import json
 
 import pytest
-from click.testing import CliRunner
 
-from gateway.cli import main
 from gateway.errors import InputError
 from gateway.result.result import LoadResult, Result, from_json, read_result, to_dict, to_json
+from tests.support.rigs.command_line import run
 
 RESULT = Result("small", (LoadResult("tüte", 6.0, 0.1, (0.0, 0.0, 0.1), (0.001,) * 3, com_flange_m=(0.0, 0.0, 0.0)),))
 
@@ -25,10 +24,6 @@ def edited(path, change):
     change(body)
     path.write_text(json.dumps(body, indent=3), encoding="utf-8")
     return path
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def test_the_checksum_is_that_of_the_sorted_compact_form(file):

@@ -17,10 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from gateway.cell.config import load_cell
-from gateway.cli import main
 from gateway.excite.plan_file import plan_as_plain
 from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.feedforward.dynamics import ArmDynamics
@@ -33,6 +32,7 @@ from gateway.model.arm_model import arm_named
 from gateway.result.follow import FollowResult
 from gateway.result.result import read_result, to_json
 from sim.serve import RunningSimulation, running
+from tests.support.rigs.command_line import run as command
 from tests.support.rigs.pacing import in_lockstep
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -112,11 +112,6 @@ def drives(place: Place, build_errors: int, **options: object) -> Iterator[Runni
     bus = f"virtual:follow-{uuid.uuid4().hex}"
     with running(place.cell, bus, payload=place.folder / "payload.toml", undeclared=hidden, **options) as handle:
         yield handle
-
-
-def command(*arguments: object) -> Result:
-    """Run the command line in this process."""
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def identify(place: Place, handle: RunningSimulation) -> None:

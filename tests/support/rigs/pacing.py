@@ -17,12 +17,15 @@ def by_the_clock(text: str) -> str:
     return _PACING.sub('pacing = "real"', text)
 
 
-#: Keys of a cell file with values for which fewer SYNCs are simulated; accuracy suffers.
-SHORTLY = {"sync_period_s": 0.02, "approach_speed_rad_s": 0.15, "samples": 30, "count": 6, "validation": 2}
+#: Keys of a cell file with which fewer SYNCs are simulated: in longer cycles, at fewer poses; less accurate.
+HEAVY = {"sync_period_s": 0.04, "approach_speed_rad_s": 0.2, "samples": 20, "count": 6, "validation": 2}
+#: The same of an arm of a few kilograms, which may move faster.
+FASTER = {"speed_limit_rad_s": 1.6, "acceleration_limit_rad_s2": 3.0, "jerk_limit_rad_s3": 30.0}
+SHORTLY = HEAVY | FASTER
 
 
-def measured_shortly(text: str) -> str:
-    """Text of a cell file with half of the poses, each of a third of the SYNCs."""
-    for key, value in SHORTLY.items():
+def measured_shortly(text: str, values: dict[str, float] = SHORTLY) -> str:
+    """Text of a cell file with half of the poses, each of few SYNCs."""
+    for key, value in values.items():
         text = re.sub(rf"(?m)^{key} = .*", f"{key} = {value}", text)
     return text

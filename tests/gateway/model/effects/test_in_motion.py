@@ -213,6 +213,9 @@ def test_what_an_arm_can_have_of_an_effect(motion, modelled, seen):
     for term, good, bad in both:
         assert term.possible(np.array(good), np.full(len(good), 1e-9), seen), (term, good)
         assert not term.possible(np.array(bad), np.full(len(bad), 1e-9), seen), (term, bad)
+    unsure = np.array([1.0, 0.1, 0.1, 0.1])
+    assert LinkMass(1).possible(np.array([-2.0, 0.0, 0.0, 0.5]), unsure, seen), "its moment is seen, its mass is not"
+    assert not LinkMass(1).possible(np.array([-3.1, 0.0, 0.0, 0.5]), unsure, seen)
     motor = MotorCoupling(4, 5, 1.0)
     assert motor.possible(np.array([1.0, -0.1, 0.0]), np.array([0.1, 0.1, 0.1]), seen)
     assert not motor.possible(np.array([1.0, -0.3, 0.0]), np.array([0.1, 0.1, 0.1]), seen)
@@ -245,7 +248,7 @@ def test_what_the_rows_cannot_show_is_not_tried(motion):
     assert joints_of(terms, "load_dependent_friction") == [(axis,) for axis in range(1, 7)]
     assert joints_of(terms, "cable_torque") == [(4,), (5,), (6,)]
     assert joints_of(terms, "link_mass") == [(2,), (3,), (4,)]
-    assert joints_of(terms, "joint_elasticity") == [(1,), (2,), (3,)]
+    assert joints_of(terms, "joint_elasticity") == [(axis,) for axis in range(1, 7)]
     assert joints_of(terms, "axis_coupling") == [(1, 2), (2, 3), (2, 4), (3, 4), (4, 5), (4, 6), (5, 6)]
     assert joints_of(terms, "payload_shift") == [()]
     assert {term.by for term in terms if isinstance(term, ThermalDrift)} == {"temperature"}
@@ -260,7 +263,7 @@ def test_what_the_rows_cannot_show_is_not_tried(motion):
     long = replace(cold, time_s=motion.time_s * 6.0)
     assert joints_of(terms_in_motion(long, setup(motion)), "thermal_drift") == [(1,), (3,), (4,), (6,)]
     stiff = replace(motion, wind_up_rad=np.where(np.arange(6) == 1, 0.0, np.nan) * np.ones((N, 1)))
-    assert joints_of(terms_in_motion(stiff, setup(motion)), "joint_elasticity") == [(1,), (3,)]
+    assert joints_of(terms_in_motion(stiff, setup(motion)), "joint_elasticity") == [(1,), (3,), (4,), (5,), (6,)]
 
 
 def test_balancers_are_tried_all_around_the_joint(motion):
