@@ -28,7 +28,7 @@ $(SIM_STAMP): pyproject.toml constraints.txt
 	touch $(SIM_STAMP)
 
 demo: $(if $(wildcard $(STAMP)),$(STAMP),$(SIM_STAMP))
-	$(BIN)/python -m sim.demo --out out/demo
+	$(BIN)/python -m sim.demo -o out/demo
 
 # Tests in lockstep wait for processes and for the disk: three of them keep two cores busy.
 WORKERS ?= 3

@@ -54,6 +54,7 @@ from gateway.jobs.configure import apply_files, compare_with_files, dump, restor
 from gateway.jobs.drive_test import measure_timing
 from gateway.jobs.follow import follow
 from gateway.jobs.measure import move, record, record_moving, record_until_known
+from gateway.jobs.pair import learn, run_pair, teach
 from gateway.jobs.replay import replay, store
 from gateway.model.effect import Effect, nowhere
 from gateway.model.effects import LIBRARY
@@ -283,8 +284,9 @@ def _thresholds(of: Any) -> str:
 
 #: Public functions for programs that measure.
 JOBS: Final = (
-    *(check, check_moving, move, record, record_until_known, record_moving, commission, accept, follow),
-    *(calibrate, store_calibration, measure_timing, dump, compare_with_files, apply_files, restore, store, replay),
+    *(check, check_moving, move, record, record_until_known, record_moving, commission, accept, follow, teach),
+    *(run_pair, learn, calibrate, store_calibration, measure_timing, dump, compare_with_files, apply_files, restore),
+    *(store, replay),
 )
 BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     "keys of a cell file": lambda: keys(Cell),

@@ -76,7 +76,7 @@ def rehearse(cell: Path, arm: str | None) -> None:
 @main.command(add_help_option=False, context_settings={"ignore_unknown_options": True})
 @click.argument("options", nargs=-1, type=click.UNPROCESSED)
 def demo(options: tuple[str, ...]) -> None:
-    """Commission a simulated cell with an undeclared effect: `servo-sim demo --out FOLDER`."""
+    """Commission a simulated cell with an undeclared effect: `servo-sim demo -o FOLDER`."""
     with _installed():
         from sim.demo import main as run
     run.main(list(options), prog_name="servo-sim demo")

@@ -292,23 +292,23 @@ def read_payloads(path: Path) -> dict[str, Payload]:
     """
     loads: dict[str, Payload] = {}
     for number, entry in enumerate(read_toml(path).get("load", []), start=1):
-        where = place_of(path, "load", number)
+        at = path, "load", number
         try:
             label, mass = str(entry["label"]), float(entry["mass_kg"])
             com = np.array(entry["com_m"], dtype=float)
             inertia = np.array(entry.get("inertia_kg_m2", compact_inertia(mass)), dtype=float)
         except KeyError as error:
-            raise CellFileError(f"{where}: key {error} is missing; label, mass_kg and com_m are needed.") from error
+            raise CellFileError(f"{place_of(*at)}: key {error} is missing: give label, mass_kg and com_m.") from error
         except (TypeError, ValueError, AttributeError) as error:
-            raise CellFileError(f"{where}: a value is of the wrong kind: {error}. Correct the file.") from error
+            raise CellFileError(f"{place_of(*at)}: a value is of the wrong kind: {error}.") from error
         numbers = np.concatenate([[mass], com.ravel(), inertia.ravel()])
         if com.shape != (3,) or inertia.shape != (3, 3) or mass <= 0 or not np.all(np.isfinite(numbers)):
-            raise CellFileError(f"{where}: mass_kg must be positive, com_m three finite numbers.")
+            raise CellFileError(f"{place_of(*at)}: mass_kg must be positive, com_m three finite numbers.")
         if np.linalg.norm(com) > LARGEST_LEVER_M:
-            raise CellFileError(f"{where}: com_m {com.tolist()} is more than {LARGEST_LEVER_M:g} m away: give metres.")
+            raise CellFileError(f"{place_of(*at)}: com_m {com.tolist()} is beyond {LARGEST_LEVER_M:g} m: give metres.")
         if label in loads or label == "none":
             raise CellFileError(
-                f"{where}: label '{label}' is already used; labels must be unique, and `none` is the unloaded arm."
+                f"{place_of(*at)}: label '{label}' is already used; labels are unique, and `none` is the unloaded arm."
             )
         loads[label] = Payload(label, mass, com, inertia)
     if not loads:

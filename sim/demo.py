@@ -1,4 +1,4 @@
-"""Run a complete commissioning on the simulator: `python -m sim.demo --out out/demo`.
+"""Run a complete commissioning on the simulator: `python -m sim.demo -o out/demo`.
 
 Two programs in two processes on a free bus: the simulated drives, and the gateway, which commissions the cell. When the
 gateway requests a load, it is mounted. The arm has a balancer that its model lacks (or effects drawn from a seed). At
@@ -34,7 +34,7 @@ PACING = "lockstep"
     "--undeclared", type=click.Path(exists=True, path_type=Path), help="File of undeclared effects [a balancer spring]."
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Draw the undeclared effects from this seed instead.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
+@click.option("-o", "--output", "out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
 def main(cell: Path, payload: Path, undeclared: Path | None, seed: int | None, out: Path) -> None:
     """Commission a simulated cell with an undeclared effect, from the first frame to the report."""
     if seed is None:
@@ -57,7 +57,7 @@ def run(cell: Path, payload: Path, undeclared: Path | None, seed: int | None, ou
     with running(cell, payload=payload, undeclared=undeclared, seed=seed, truth=truth, pacing=PACING) as simulator:
         click.echo(simulator.ready)
         words = [sys.executable, "-m", "gateway.cli", "commission", str(cell)]
-        words += ["--bus", simulator.bus, "--pacing", PACING, "--yes", "--out", str(out)]
+        words += ["--bus", simulator.bus, "--pacing", PACING, "--yes", "-o", str(out)]
         for label in read_payloads(payload):
             words += ["--load", label]
         code = _commission(words, simulator)

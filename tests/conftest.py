@@ -23,20 +23,6 @@ settings.register_profile("slow", max_examples=100, deadline=None)
 settings.load_profile("fast")
 
 
-PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """Say whether the pictures of the documentation are taken again."""
-    parser.addoption("--pictures", action="store_true", help="tests in a browser leave their pictures in docs/pictures")
-
-
-@pytest.fixture
-def pictures(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """Folder for a picture that the documentation shows: docs/pictures with `--pictures`, else one that goes away."""
-    return PICTURES if request.config.getoption("--pictures") else tmp_path
-
-
 @pytest.fixture
 def pages(monkeypatch):
     """Live pages that were started."""

@@ -38,7 +38,7 @@ def run_bus_cell(job: tuple[int, str]) -> dict:
     for old in ("result.json", "report.html", "run.h5"):
         (folder / old).unlink(missing_ok=True)
     words = [sys.executable, "-m", "sim.demo", "--cell", str(EXAMPLES / name / "cell.toml")]
-    words += ["--payload", str(folder / "payload.toml"), "--seed", str(seed), "--out", str(folder)]
+    words += ["--payload", str(folder / "payload.toml"), "--seed", str(seed), "-o", str(folder)]
     begin = time.monotonic()
     with (folder / "log.txt").open("w", encoding="utf-8") as log:
         done = subprocess.run(words, stdout=log, stderr=log, timeout=TIMEOUT_S, check=False)

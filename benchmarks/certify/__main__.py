@@ -11,7 +11,7 @@ Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of
   design of `accept` are measured with other friction and noise, and `accept --from` decides.
 - Replay: stored measurements are computed again with another number of threads.
 - Temperature: mass with a drift by recorded temperatures, against time alone.
-- Drive test: figures of `drive test` in real time against the truth, defects of drives found, false alarms.
+- Timing: figures of `check --timing` in real time against the truth, defects of drives found, false alarms.
 - Load cost: cycle times of `cost` on drawn paths against a search with pinocchio, and the time-optimal bound.
 """
 

@@ -55,7 +55,7 @@ def accepted_arm(seed: int) -> dict:
         # a tilted base is in no file
         robot.write_text(urdf, encoding="utf-8")
         answer = folder / "answer.json"
-        words = ("accept", cell, "--load", result, "--from", table, "--tolerance", f"{TOLERANCE_PERCENT}%")
+        words = ("accept", cell, result, "--from", table, "--tolerance", f"{TOLERANCE_PERCENT}%")
         code, said = invoked(*words, "--json", answer)
         if not answer.exists():
             return {"seed": seed, "error": kind, "outcome": f"exit {code}", "said": said[-200:]}

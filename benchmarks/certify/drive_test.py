@@ -1,4 +1,4 @@
-"""`drive test` on simulated drives in real time: figures against the truth, defects found, false alarms, duration.
+"""`check --timing` on simulated drives in real time: figures against the truth, defects found, false alarms, duration.
 
 python -m benchmarks.certify.drive_test [--seeds 20] [--out out/drive-test] [--pacing real] [--only NAME ..]
 
@@ -76,7 +76,8 @@ def _cell(folder: Path, make: str, pacing: str) -> Path:
 
 
 def _drive_test(cell: Path, bus: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-m", "gateway.cli", "drive", "test", cell, "--bus", bus, "--yes", "-o", folder / "out"]
+    words = [sys.executable, "-m", "gateway.cli", "check", cell, "--timing", "--bus", bus, "--yes"]
+    words += ["-o", folder / "out"]
     return subprocess.run(
         [str(word) for word in words],
         env=os.environ | {"XDG_STATE_HOME": str(folder / "state")},
@@ -124,19 +125,19 @@ def drive_test_figures(good: list[dict], defective: list[dict]) -> dict[str, dic
     completed = [run for run in good if run["findings"]]
     alarms = sum(bool(texts) for run in completed for texts in run["findings"].values())
     entries = {
-        f"drive test: truth within the interval, {len(rows)} figures of {len(completed)} arms": figure(
+        f"timing: truth within the interval, {len(rows)} figures of {len(completed)} arms": figure(
             100.0 * float(np.mean([inside for _, inside in rows])) if rows else float("nan"), ">= 95", "%"
         ),
-        f"drive test: defects found, of {len(defective)}": figure(sum(map(detected, defective)), ">= 8"),
-        f"drive test: good drives with a finding, of {6 * len(completed)}": figure(alarms, "== 0"),
-        "drive test: longest test of six drives": figure(
+        f"timing: defects found, of {len(defective)}": figure(sum(map(detected, defective)), ">= 8"),
+        f"timing: good drives with a finding, of {6 * len(completed)}": figure(alarms, "== 0"),
+        "timing: longest test of six drives": figure(
             max((run["lasted_s"] for run in completed), default=float("nan")), "<= 300", "s"
         ),
     }
     for name in sorted({name for name, _ in rows}):
         inside = [inside for each, inside in rows if each == name]
         share = 100.0 * sum(inside) / len(inside)
-        entries[f"drive test: {name}, {len(inside)}"] = figure(share, unit="%")
+        entries[f"timing: {name}, {len(inside)}"] = figure(share, unit="%")
     return entries
 
 

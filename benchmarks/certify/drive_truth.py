@@ -1,7 +1,7 @@
 """True timing of simulated drives, from what their connector carried and how their motors moved (`sim.timing_record`).
 
-Nothing of the gateway is used here. The definitions are those of the how-to of `drive test`. Standstill is the first
-instant at which the speed in the direction of motion is below 2 % of the speed at the start of the stop.
+Nothing of the gateway is used here. The definitions are those of the how-to of `check --timing`. Standstill is the
+first instant at which the speed in the direction of motion is below 2 % of the speed at the start of the stop.
 The speed is that of the position which the encoder measures, differentiated over one simulated step.
 """
 

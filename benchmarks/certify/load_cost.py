@@ -82,7 +82,7 @@ def cost_of_path(seed: int) -> dict:
             points = rng.uniform([-1.0, -0.6, -0.6, -1, -1, -1], [1.0, 0.8, 0.8, 1, 1, 1], (WAYPOINTS, 6))
             path = f"dwell_s = {DWELL_S}\nwaypoints_rad = {points.tolist()}\n"
             (folder / "path.toml").write_text(path, encoding="utf-8")
-            words = ("cost", folder / "cell.toml", "--load", folder / "result.json", "--path", folder / "path.toml")
+            words = ("cost", folder / "cell.toml", folder / "result.json", "--path", folder / "path.toml")
             code, said = invoked(*words, "--json", folder / "cost.json")
             if code != 5:
                 break

@@ -186,7 +186,7 @@ def shorter(text: str) -> str:
 def _start(stage: Stage, folder: Path) -> tuple[Program, Path]:
     stage.served.ask("renew")
     out = Path(tempfile.mkdtemp(dir=folder))
-    words = ["commission", stage.cell, "--load", "tool", "--out", out, "--live", "-v"]
+    words = ["commission", stage.cell, "--load", "tool", "-o", out, "--live", "-v"]
     program = stage.run(out / "pulled", *words, typed=True, module="benchmarks.chaos.unplugged")
     stage.served.ask("logs")
     return program, out

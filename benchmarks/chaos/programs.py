@@ -305,10 +305,8 @@ def prove(stage: Stage) -> Stage:
 def teach(stage: Stage) -> None:
     """A first function, as if taught: the relation of the grasps."""
     pair = load_pair(stage.cell)
-    store = PairStore(pair, stage.cell.with_suffix(".pair"))
-    relation = pair.nominal_relation
-    function = function_of_knots([0.0, pair.path().length_m], [relation, relation])
-    store.save("first", function, learn_source="taught", speed=0.0)
+    function = function_of_knots([0.0, pair.path().length_m], [pair.nominal_relation] * 2)
+    PairStore(pair, stage.cell.with_suffix(".pair")).save("first", function, learn_source="taught", speed=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,7 +333,7 @@ class Command:
 
 def _follow(stage: Stage, _out: Path) -> list[object]:
     load = stage.folder / "load.json"
-    return ["follow", stage.cell, "--path", stage.folder / "path.toml", "--load", load, "--yes", "-v"]
+    return ["follow", stage.cell, "--path", stage.folder / "path.toml", load, "--yes", "-v"]
 
 
 def _in_motion(stage: Stage, out: Path) -> list[object]:
@@ -344,9 +342,7 @@ def _in_motion(stage: Stage, out: Path) -> list[object]:
     if not plan.exists():
         request = MovingRequest(choice="random", period_s=5.0, periods=3)
         plan.write_text(json.dumps(plan_as_plain(make_moving_plan(stage.served.loaded, None, request))))
-    (bus,) = stage.served.loaded.cell.bus.values()
-    what = ["--moving", "--plan", plan, "--rate", f"{1.0 / bus.sync_period_s:g}"]
-    return ["record", stage.cell, "--load", "none", *what, "-o", out / "run.h5", "--yes", "-v"]
+    return ["record", stage.cell, "--load", "none", "--plan", plan, "-o", out / "run.h5", "--yes", "-v"]
 
 
 COMMANDS = (
@@ -359,15 +355,17 @@ COMMANDS = (
     ),
     Command(
         "commission",
-        lambda stage, out: ["commission", stage.cell, "--load", "tool", "--out", out, "--yes", "-v"],
+        lambda stage, out: ["commission", stage.cell, "--load", "tool", "-o", out, "--yes", "-v"],
         8.0,
         records=True,
         writes=True,
     ),
-    Command("record --moving", _in_motion, 12.0, records=True, writes=True),
+    Command("record --plan", _in_motion, 12.0, records=True, writes=True),
     Command("check --move", lambda stage, out: ["check", stage.cell, "--move", "--yes", "-v"], 5.0),
     Command("check --prove-stop", lambda stage, out: ["check", stage.cell, "--prove-stop", "--yes", "-v"], 4.0),
     Command("follow", _follow, 8.0),
-    Command("teach", lambda stage, out: ["teach", stage.cell, "--yes", "--store", out], 12.0, True, writes=True),
-    Command("run-pair", lambda stage, out: ["run-pair", stage.cell, "--yes", "--cycles", "2", "-v"], 5.0, True),
+    Command(
+        "pair teach", lambda stage, out: ["pair", "teach", stage.cell, "--yes", "--store", out], 12.0, True, writes=True
+    ),
+    Command("pair run", lambda stage, out: ["pair", "run", stage.cell, "--yes", "--cycles", "2", "-v"], 5.0, True),
 )

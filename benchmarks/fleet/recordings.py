@@ -176,12 +176,12 @@ def _a_worker(program: int) -> int:
 
 
 def _analysed(store: Store, asked: Callable[[int], None]) -> tuple[float, float]:
-    """Largest memory [MB] of `fleet analyse` with two workers and these, and how long it took [s].
+    """Largest memory [MB] of `fleet analyse` with its workers and these, and how long it took [s].
 
     `asked` receives its process id every two seconds.
     """
     command = store.path.with_suffix(".json")
-    words = ["fleet", "analyse", str(store.path), "--workers", "2", "--json", str(command)]
+    words = ["fleet", "analyse", str(store.path), "--json", str(command)]
     started = time.perf_counter()
     program = subprocess.Popen([sys.executable, "-m", "gateway.cli", *words], stdout=subprocess.DEVNULL)
     most_mb, next_s = 0.0, ASK_S

@@ -6,10 +6,10 @@ an entered load are few, spread over the workspace and not used to identify the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, get_args
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from gateway.acquire.plan import Expectation, Plan, VisitSettings, check_plan, p
 from gateway.acquire.poses import DISTANCE_RAD, can_be_measured, choose_poses, feasible_postures, read_poses
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.recorded import Recording
-from gateway.data.visit import RestPose
+from gateway.data.visit import Purpose, RestPose
 from gateway.errors import InputError, PlanRefused
 from gateway.feedforward.load import other_origin
 from gateway.identify.load_estimate import load_directions
@@ -32,6 +32,7 @@ from gateway.motion.workspace import Workspace, workspace_of
 from gateway.pipeline.inputs import AnalysisInputs, constants_std, profile_of
 from gateway.preflight.rules import refuse_beyond_counts
 from gateway.result.result import read_result
+from gateway.result.values import check_kind, json_object, plain_values, text_of
 
 #: Further pose choices that are tried if a chosen pose is not reachable.
 CHOICES = 5
@@ -46,6 +47,8 @@ _DRAWS: Final = 25
 _SAME_RAD: Final = 1e-6
 #: Postures that stand for the workspace.
 POSTURES: Final = 600
+#: Kind of a plan file of rest poses.
+REST_PLAN: Final = "rest_plan"
 MOST_POSES: Final = 12
 
 
@@ -235,10 +238,48 @@ def asked_by(
     return tuple(poses), taken
 
 
+def rest_plan_as_plain(chosen: Plan) -> dict[str, Any]:
+    """Return a plan of rest poses as plain values, for a plan file."""
+    return {
+        "schema": 1,
+        "kind": REST_PLAN,
+        "arm": chosen.arm,
+        "duration_s": chosen.duration_s,
+        "poses": [{"pose": pose.number, "purpose": pose.purpose, "q_rad": list(pose.q_rad)} for pose in chosen.poses],
+        "expected": plain_values(chosen.expectation),
+        **({"distinguish": chosen.distinguish} if chosen.distinguish else {}),
+    }
+
+
+def read_rest_plan(path: Path, config: ArmConfig) -> tuple[dict[tuple[float, ...], Purpose], float]:
+    """Return postures [rad] with their purpose, and duration [s], of a plan file of rest poses.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or holds no rest poses of this arm.
+    """
+    data = json_object(text_of(path, "name the file that `plan CELL -o PLAN.json` wrote"), str(path))
+    check_kind(data, 1, REST_PLAN, str(path))
+    try:
+        postures = {tuple(map(float, pose["q_rad"])): pose["purpose"] for pose in data["poses"]}
+        duration_s = float(data["duration_s"])
+    except (KeyError, TypeError, ValueError):
+        postures, duration_s = dict[tuple[float, ...], Purpose](), 0.0
+    right = {len(posture) for posture in postures} == {len(config.axis)}
+    right = right and {*postures.values()} <= {*get_args(Purpose)}
+    if data.get("arm") != config.name or not right or not duration_s > 0 or "fit" not in postures.values():
+        raise InputError(
+            f"{path}: holds no rest poses of the {len(config.axis)} axes of arm '{config.name}'; write it by `plan CELL"
+            " -o PLAN.json`"
+        )
+    return postures, duration_s
+
+
 def plan_asked(
     loaded: LoadedCell,
     config: ArmConfig,
-    q_rad: Sequence[tuple[float, ...]],
+    postures: Mapping[tuple[float, ...], Purpose],
     earlier: Recording | None,
     taken: Collection[int] = (),
 ) -> Plan:
@@ -248,8 +289,8 @@ def plan_asked(
     ----------
     loaded : LoadedCell
     config : ArmConfig
-    q_rad : sequence of tuples of floats, one per axis
-        The poses.
+    postures : mapping of tuples of floats, one per axis, to Purpose
+        The poses [rad], and what each is for.
     earlier : Recording or None
         Recording that is continued.
     taken : collection of int
@@ -264,11 +305,11 @@ def plan_asked(
     known = () if stored is None else stored.poses
     number = max([*taken, *(pose.number for pose in known)], default=0)
     poses: dict[int, RestPose] = {}
-    for posture in dict.fromkeys(q_rad):
+    for posture, purpose in postures.items():
         pose = next((each for each in known if np.abs(np.subtract(each.q_rad, posture)).max() <= _SAME_RAD), None)
         if pose is None:
             number += 1
-            pose = RestPose(number, posture, "fit")
+            pose = RestPose(number, posture, purpose)
         poses.setdefault(pose.number, pose)
     return plan_of_any(loaded, config, workspace_of(config, arm_robot(loaded, config)), tuple(poses.values()))
 

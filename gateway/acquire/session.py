@@ -90,7 +90,9 @@ def plan_of_recording(loaded: LoadedCell, recording: Recording, arm: str | None 
     config = arm_named(loaded, arm)
     stored = recording.arm(config.name)
     if stored is None or not stored.poses:
-        raise InputError(f"{recording.path}: requests no poses of arm '{config.name}'")
+        raise InputError(
+            f"{recording.path}: requests no poses of arm '{config.name}'; a run of motions goes on with --plan"
+        )
     workspace = workspace_of(config, arm_robot(loaded, config))
     return plan_of_poses(loaded, config, workspace, stored.poses)
 

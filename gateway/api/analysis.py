@@ -118,8 +118,8 @@ def estimate(
         how, axes = coefficient, () if about.arm is None else about.arm.axis
         if how is not None and 0 < how.joint <= len(axes):
             axis = axes[how.joint - 1]
-            how = replace(how, gear_ratio=how.gear_ratio or axis.gear_ratio.value)
-            how = replace(how, gear_efficiency=how.gear_efficiency or axis.gear_efficiency.value)
+            of_cell = {"gear_ratio": axis.gear_ratio.value, "gear_efficiency": axis.gear_efficiency.value}
+            how = replace(how, **{name: value for name, value in of_cell.items() if getattr(how, name) is None})
         with working("estimation"):
             choice = postures(about)
             result = _estimate(table, about.robot, about.knowledge, method, coefficient=how, pose_choice=choice)

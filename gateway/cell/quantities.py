@@ -27,19 +27,19 @@ PlainName = Annotated[str, AfterValidator(_printable)]
 
 
 def relative_std(text: str) -> float | None:
-    """Return the standard deviation of `exact` (0), `ignore` (infinite) or `prior:S`, S > 0; None for other text."""
+    """Return the standard deviation of `S` or `prior:S`, `exact` (0) or `ignore` (infinite); None for other text."""
     named = {"exact": 0.0, "ignore": math.inf}
     if text in named:
         return named[text]
     try:
-        std = float(text.removeprefix("prior:")) if text.startswith("prior:") else math.nan
+        std = float(text.removeprefix("prior:"))
     except ValueError:
         return None
-    return std if math.isfinite(std) and std > 0 else None
+    return std if math.isfinite(std) and (std > 0 or text == "0") else None
 
 
 def parse_inertials(text: str) -> float:
-    """Return the relative standard deviation of the link inertials that `exact`, `ignore` or `prior:S` states.
+    """Return the relative standard deviation of the link inertials that `S`, `prior:S`, `exact` or `ignore` states.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def parse_inertials(text: str) -> float:
     """
     std = relative_std(text)
     if std is None:
-        raise ConfigError(f"inertials '{text}': use exact, ignore, or prior:S with S > 0, such as prior:0.05")
+        raise ConfigError(f"inertials '{text}': use a relative standard deviation such as 0.05, 0 or exact, or ignore")
     return std
 
 

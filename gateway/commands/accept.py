@@ -8,41 +8,38 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
+from click.core import ParameterSource
 
 from drives.files import replace_file
 from gateway.commands.console import axis_names, grid
 from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
-    FILE,
     bus_option,
     cell_argument,
+    cell_context,
     common,
     json_option,
+    load_option,
     measurement_options,
     output_option,
     refuse_unwritable,
-    reserve,
+    result_argument,
     session_of,
     write_json,
 )
 from gateway.errors import FindingFailed
 
-#: Recording in the folder of --out.
+#: Recording in the folder of -o.
 _RECORDING: Final = "accept.h5"
+#: Page with the map of the workspace, in the same folder.
+_PAGE: Final = "accept.html"
 
 
 @click.command()
 @cell_argument
-@click.option(
-    "--load",
-    "load_file",
-    required=True,
-    metavar="RESULT.json",
-    type=FILE,
-    help="Result of this arm, or CELL.loads.json#LABEL: the load as entered, and the unloaded arm.",
-)
-@click.option("--label", metavar="LABEL", help="Load of the result, if it holds several.")
+@result_argument
+@load_option("label", "Load of RESULT, if it holds several.")
 @click.option(
     "--tolerance",
     default="5%",
@@ -51,7 +48,6 @@ _RECORDING: Final = "accept.h5"
     help="Residual torque that the controller tolerates: P% of each torque limit, or one torque an axis [Nm].",
 )
 @measurement_options("of unseen poses under the load", _RECORDING)
-@output_option("--report", metavar="PAGE.html", help="Write a page with the map of the workspace.")
 @output_option("--junit", "junit_file", metavar="FILE", help="Write pass or fail as JUnit XML.")
 @arm_option
 @bus_option
@@ -66,7 +62,6 @@ def accept(
     data: tuple[Path, ...],
     out: Path,
     resume: bool,
-    report: Path | None,
     junit_file: Path | None,
     arm_name: str | None,
     bus_spec: str | None,
@@ -75,16 +70,20 @@ def accept(
 ) -> None:
     """Whether the entered load is right over the whole workspace, from at most 12 unseen poses.
 
-    The arm moves, unless --from is given. Pass, fail or cannot tell, with the probability that the decision is wrong;
-    exit 7 unless it passes.
+    RESULT is a result of this arm, or CELL.loads.json#LABEL: the load as entered, and the unloaded arm. The arm moves,
+    unless --from is given. Pass, fail or cannot tell, with the probability that the decision is wrong;
+    exit 7 unless it passes. With --from the page is written only if -o is given.
+
+    \b
+    Example:
+      servo-gateway accept cell.toml result.json --tolerance 5%
     """
     from gateway.commands.terminal import terminal
     from gateway.jobs.accept import accept as run
-    from gateway.jobs.cell_context import open_cell
 
-    context, recording = open_cell(cell, bus_spec, reserve, moving.pacing), out / _RECORDING
+    context, recording = cell_context(cell, bus_spec, moving.pacing), out / _RECORDING
     if not data:
-        refuse_unwritable(recording, "--out")
+        refuse_unwritable(recording, "-o")
     with stoppable(moving) as options:
         answer = run(
             context,
@@ -98,23 +97,22 @@ def accept(
             arm=arm_name,
             resume=resume,
         )
-    _hand_over(answer, json_out, report, junit_file)
+    asked = click.get_current_context().get_parameter_source("out") is not ParameterSource.DEFAULT
+    _hand_over(answer, json_out, out / _PAGE if asked or not data else None, junit_file)
 
 
-def _hand_over(answer: Mapping[str, Any], json_out: str | None, report: Path | None, junit_file: Path | None) -> None:
+def _hand_over(answer: Mapping[str, Any], json_out: str | None, page: Path | None, junit_file: Path | None) -> None:
     """Write and show; anything but a pass exits with 7."""
-    from gateway.commands.pages import write_page
     from gateway.report.acceptance_map import render_acceptance
     from gateway.result.junit import Case, junit_of
     from gateway.result.numerals import significant
     from gateway.result.origin import Origin, in_words, software
 
     session, now = session_of(), datetime.now(UTC)
-    if json_out:
-        write_json(json_out, answer)
-    if report is not None:
-        write_page(report, render_acceptance(answer, Origin(in_words(now), software())))
-        session.show(f"report: {report}")
+    write_json(json_out, answer)
+    if page is not None:
+        replace_file(page, render_acceptance(answer, Origin(in_words(now), software())))
+        session.show(f"report: {page}")
     outcome = answer["outcome"]
     error = answer["likeliest_error"]
     why = f"probability that this is wrong: {answer['probability_of_wrong_decision']:.2g}" + (

@@ -10,17 +10,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.commands.console import findings_table, grid
+from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
     agreed,
     bus_option,
     cell_argument,
+    cell_context,
     common,
     confirm,
     json_option,
+    refuse_to_replace,
     reserve,
     session_of,
     write_json,
+    writes,
 )
 from gateway.errors import FindingFailed
 
@@ -42,7 +46,12 @@ _LISTED = 6
 @json_option
 @common
 def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
-    """List the nodes on the bus: identity, firmware, NMT state, matching profile. Nothing is written, nothing moves."""
+    """List the nodes on the bus: identity, firmware, NMT state, matching profile. Nothing is written, nothing moves.
+
+    \b
+    Example:
+      servo-gateway scan --bus socketcan:can0
+    """
     from drives.bus import BusSpec, open_bus
     from drives.discovery import scan as scan_bus
     from drives.errors import BusError
@@ -56,8 +65,7 @@ def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
         raise BusError(f"{bus_spec}: no node answered", advice=advice)
     columns = ["node", "device", "vendor", "product", "revision", "serial", "firmware", "NMT", "profiles"]
     session_of().show(grid(f"nodes on {bus_spec}", columns, [_node_row(node) for node in nodes], left=len(columns)))
-    if json_out:
-        write_json(json_out, {"schema": 1, "bus": bus_spec, "nodes": [_node_json(node) for node in nodes]})
+    write_json(json_out, {"schema": 1, "bus": bus_spec, "nodes": [_node_json(node) for node in nodes]})
     twice = [str(node.identity.node_id) for node in nodes if node.devices > 1]
     if twice:
         raise FindingFailed(
@@ -110,6 +118,21 @@ def _node_json(node: ScanResult) -> dict[str, Any]:
 @click.option(
     "--brakes", is_flag=True, help="Test each brake in turn: it holds its axis while the other axes are under power."
 )
+@click.option("--timing", is_flag=True, help="Measure the timing of each drive: page and one JSON file per drive.")
+@click.option("--axis", "axes", multiple=True, metavar="J2", help="With --timing: this drive only; repeatable.")
+@writes(
+    click.option(
+        "-o",
+        "--output",
+        "folder",
+        type=click.Path(path_type=Path, file_okay=False),
+        default=Path("timing"),
+        show_default=True,
+        metavar="FOLDER",
+        help="With --timing: folder of page and files.",
+    )
+)
+@arm_option
 @bus_option
 @json_option
 @move_options
@@ -119,45 +142,77 @@ def check(
     move: bool,
     prove_stop: bool,
     brakes: bool,
+    timing: bool,
+    axes: tuple[str, ...],
+    folder: Path,
+    arm_name: str | None,
     bus_spec: str | None,
     json_out: str | None,
     moving: MoveChoice,
 ) -> None:
     """Check every drive against profile and cell file before motion.
 
-    Nothing is written and nothing moves unless --move, --prove-stop or --brakes is given; then it asks. With -v also
-    the steps of bring-up before each motion, in their order.
+    Nothing is written to a drive and nothing moves unless --move, --prove-stop, --brakes or --timing is given; then it
+    asks. With -v also the steps of bring-up before each motion, in their order.
+
+    With --timing the arm moves a little. A drive that fails is named, and nothing moves any more. What was measured is
+    written in every case.
+
+    \b
+    Examples:
+      servo-gateway check cell.toml --prove-stop --move
+      servo-gateway check cell.toml --timing -o timing
     """
     from drives.bringup import steps
     from gateway.commands.terminal import terminal
-    from gateway.jobs.cell_context import open_cell
     from gateway.jobs.check import check as check_arm
     from gateway.jobs.check import check_moving
+    from gateway.jobs.drive_test import PAGE, measure_timing
+    from gateway.model.arm_model import arm_named
     from gateway.preflight.drive_check import require_passed
+    from gateway.result.values import plain_values
 
-    context = open_cell(cell, bus_spec, reserve, moving.pacing)
+    if axes and not timing:
+        raise click.UsageError("--axis needs --timing")
+    context = cell_context(cell, bus_spec, moving.pacing)
     session = session_of()
-    items = {arm.name: check_arm(context, arm=arm.name) for arm in context.arms}
+    arms = context.arms if arm_name is None else (arm_named(context.loaded, arm_name),)
+    folders = {arm.name: folder / arm.name if len(arms) > 1 else folder for arm in arms}
+    tested = {arm.name: _numbers(axes, len(arm.axis)) for arm in arms}
+    for name in tested if timing else ():
+        for file in [PAGE, *(f"J{axis + 1}.json" for axis in tested[name])]:
+            refuse_to_replace(folders[name] / file, "-o", session)
+    items = {arm.name: check_arm(context, arm=arm.name) for arm in arms}
     proofs: list[dict[str, Any]] = []
-    failed = any(line.severity == "fail" for lines in items.values() for line in lines)
     moves = move or prove_stop or brakes
     try:
-        if moves and not failed:
-            for arm in context.arms:
-                with stoppable(moving) as options:
-                    findings, seen = check_moving(
-                        context,
-                        terminal(session, moving),
-                        options,
-                        arm=arm.name,
-                        small_moves=move,
-                        stop=prove_stop,
-                        brakes=brakes,
-                    )
-                items[arm.name] += findings
-                proofs += seen
-        elif moves:
+        if (moves or timing) and any(line.severity == "fail" for lines in items.values() for line in lines):
             session.note("nothing has moved: correct the failed items first")
+            moves = timing = False
+        for arm in arms if moves else ():
+            with stoppable(moving) as options:
+                findings, seen = check_moving(
+                    context,
+                    terminal(session, moving),
+                    options,
+                    arm=arm.name,
+                    small_moves=move,
+                    stop=prove_stop,
+                    brakes=brakes,
+                )
+            items[arm.name] += findings
+            proofs += seen
+        for arm in arms if timing else ():
+            require_passed(items[arm.name], f"arm '{arm.name}': its timing is not measured")
+            person, place = terminal(session, moving), folders[arm.name]
+            with stoppable(moving) as options:
+                reports, failure = measure_timing(context, place, person, options, arm=arm.name, axes=tested[arm.name])
+            for report in reports:
+                heading = f"{report.axis} node {report.node}: {len(report.findings)} findings"
+                session.show("\n  ".join([heading, *report.findings]))
+            session.show(f"{place / PAGE}: page of {len(reports)} drives")
+            if failure is not None:
+                raise failure
     finally:  # a motion that fails or is declined leaves what was found before
         for name, lines in items.items():
             shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]
@@ -166,13 +221,19 @@ def check(
     if session.verbosity > 0:
         order = (f"{number:4d}. {step}" for number, step in enumerate(steps(), start=1))
         session.show("\n".join(["bring-up before each motion, in this order:", *order]))
-    if json_out:
-        from gateway.result.values import plain_values
-
-        findings = plain_values([line for lines in items.values() for line in lines])
-        body = {"schema": 1, "cell": context.loaded.cell.name, "findings": findings}
-        write_json(json_out, body | ({"stop_proof": proofs} if proofs else {}))
+    findings = plain_values([line for lines in items.values() for line in lines])
+    body = {"schema": 1, "cell": context.loaded.cell.name, "findings": findings}
+    write_json(json_out, body | ({"stop_proof": proofs} if proofs else {}))
     require_passed([line for lines in items.values() for line in lines], "check failed")
+
+
+def _numbers(axes: Sequence[str], count: int) -> list[int]:
+    """Return the numbers, from 0, of axes such as J2; all if none is named."""
+    numbers = {f"J{number + 1}": number for number in range(count)}
+    names = [name.upper() for name in axes] or list(numbers)
+    if unknown := [name for name in names if name not in numbers]:
+        raise click.UsageError(f"--axis: '{unknown[0]}' is not an axis of this arm: give one of {', '.join(numbers)}")
+    return [numbers[name] for name in names]
 
 
 def _count(lines: Sequence[Finding]) -> str:
@@ -197,12 +258,15 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
 
     If a drive does not answer or refuses an object, the others are still restored. The entry stays in the ledger, is
     listed, and the exit code is 4. An object that another tool has written since keeps its value.
+
+    \b
+    Example:
+      servo-gateway restore cell.toml
     """
     from drives.errors import raise_failures
-    from gateway.jobs.cell_context import open_cell
     from gateway.jobs.configure import restore as restore_drives
 
-    context, session = open_cell(cell, bus_spec, reserve), session_of()
+    context, session = cell_context(cell, bus_spec), session_of()
 
     def show_and_forget(restored: dict[str, Any]) -> bool:
         arm, back, left = f"arm {restored['arm']}", restored["put_back"], restored["left"]
@@ -229,6 +293,5 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
         return forget
 
     arms, failures = restore_drives(context, same_drive=agreed, forget=show_and_forget)
-    if json_out:
-        write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "arms": arms})
+    write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "arms": arms})
     raise_failures(failures)

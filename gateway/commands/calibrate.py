@@ -17,18 +17,18 @@ from gateway.commands.shared_options import (
     KNOWN_HELP,
     bus_option,
     cell_argument,
+    cell_context,
     common,
     json_option,
     measurement_options,
     refuse_unwritable,
-    reserve,
     session_of,
     warm_option,
     write_json,
 )
 from gateway.data.labels import label_refused
 
-#: Recording in the folder of --out.
+#: Recording in the folder of -o.
 _RECORDING: Final = "calibrate.h5"
 
 
@@ -57,12 +57,16 @@ def calibrate(
     """Calibrate torque constants with a weighed load: unloaded, mounted, unloaded. The arm moves, except with --from.
 
     The result is stored beside the cell file as CELL.calibration.toml; estimate, diagnose and commission use it.
+
+    \b
+    Examples:
+      servo-gateway calibrate cell.toml --known weight=20.00+-0.01,0,0,0.15
+      servo-gateway calibrate cell.toml --known weight=20.00 --from run.h5
     """
     from gateway.cell.calibration import calibration_path
     from gateway.commands.terminal import terminal
     from gateway.jobs.calibrate import calibrate as run
     from gateway.jobs.calibrate import store_calibration
-    from gateway.jobs.cell_context import open_cell
     from gateway.pipeline.known import parse_known
     from gateway.result.values import plain_values
 
@@ -70,11 +74,13 @@ def calibrate(
     wrong = label_refused(label)
     if wrong:
         raise click.UsageError(f"--known {label}: '{label}' {wrong}")
-    context, session, path = open_cell(cell, bus_spec, reserve, moving.pacing), session_of(), calibration_path(cell)
+    context, session, path = cell_context(cell, bus_spec, moving.pacing), session_of(), calibration_path(cell)
+    if not stated.mass_std_kg:
+        session.note(f"{stated.mass_kg:g} kg count as exact; state the scale's uncertainty: --known {label}=MASS+-STD")
     refuse_unwritable(path, "calibration file")
     recording = out / _RECORDING
     if not data:
-        refuse_unwritable(recording, "--out")
+        refuse_unwritable(recording, "-o")
     with measured_data_noted(recording, resume, "calibrate"), stoppable(moving) as options:
         calibration = run(
             context,
@@ -91,10 +97,9 @@ def calibrate(
     new = calibration.stored
     findings = store_calibration(context, calibration, force=session.replaces)
     is_stored = all(each.severity != "fail" for each in findings)
-    if json_out:
-        axes = [plain_values(axis) for axis in calibration.axes]
-        report = {"axes": axes, "findings": [plain_values(each) for each in findings]}
-        write_json(json_out, {"schema": 1, "arm": new.name, "load": new.load, "mass_kg": new.mass_kg, **report})
+    axes = [plain_values(axis) for axis in calibration.axes]
+    report = {"axes": axes, "findings": [plain_values(each) for each in findings]}
+    write_json(json_out, {"schema": 1, "arm": new.name, "load": new.load, "mass_kg": new.mass_kg, **report})
     rows = [
         [
             f"J{axis.joint}",

@@ -16,6 +16,7 @@ from gateway.commands.measure import arm_option
 from gateway.commands.shared_options import (
     FILE,
     cell_argument,
+    cell_context,
     common,
     json_option,
     key_values,
@@ -42,7 +43,12 @@ def cell() -> None:
 @cell.command("schema")
 @common
 def cell_schema() -> None:
-    """Print the JSON schema of a cell file, for editors."""
+    """Print the JSON schema of a cell file, for editors.
+
+    \b
+    Example:
+      servo-gateway cell schema > cell.schema.json
+    """
     from gateway.cell.config import cell_schema as schema
 
     write_json("-", schema())
@@ -54,7 +60,12 @@ def cell_schema() -> None:
 @output_option("-o", "--output", metavar="PAGE.html", help="Page to write; default: beside the cell file.")
 @common
 def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
-    """Draw the arm at its named postures with the keep-out boxes, and list the assumptions. Needs no bus."""
+    """Draw the arm at its named postures with the keep-out boxes, and list the assumptions. Needs no bus.
+
+    \b
+    Example:
+      servo-gateway cell view cell.toml
+    """
     from gateway.cell.config import load_cell
     from gateway.commands.pages import write_page
     from gateway.commands.plan_view import LOAD_COLUMNS, loads_in_words, space_in_words, view_of_cell
@@ -114,8 +125,11 @@ def cell_new(
 
     Joint limits come from the URDF; node ids, profiles, ratings and limits from the drives, or from EDS and DCF files.
     Nothing is written to a drive and nothing moves.
+
+    \b
+    Example:
+      servo-gateway cell new --robot robot.urdf --bus socketcan:can0 -o cell.toml
     """
-    from gateway.jobs.cell_context import open_cell
     from gateway.model.arm_model import arm_robot
     from gateway.newcell import questions
     from gateway.newcell.answers import CellAnswers, GivenAnswer, read_answers
@@ -124,6 +138,7 @@ def cell_new(
     from gateway.newcell.interview import interview
     from gateway.newcell.nodes import BusEyes
     from gateway.preflight.drive_check import require_passed
+    from gateway.result.values import plain_values
 
     session, kept = session_of(), output.with_suffix(".answers.toml")
     answered = {} if answers is None else read_answers(answers)
@@ -150,7 +165,7 @@ def cell_new(
             _save(said, save_answers)
     if answers is None:
         kept.unlink(missing_ok=True)
-    context = open_cell(output, None, reserve)
+    context = cell_context(output)
     (arm,) = context.arms
     arm_robot(context.loaded, arm)
     context.profiles(arm)
@@ -167,21 +182,16 @@ def cell_new(
         if not entry.key:
             session.show(f"to do: {entry.why}")
     session.show(f"{output}: {len(said.said)} answers, {len(guesses)} keys assumed; next: servo-gateway check {output}")
-    if json_out:
-        from gateway.result.values import plain_values
-
-        write_json(
-            json_out,
-            {
-                "schema": 1,
-                "cell": str(output),
-                "answers": len(said.said),
-                "left": [
-                    {"key": entry.key, "value": entry.value, "why": entry.why, "how": entry.how} for entry in left
-                ],
-                "findings": plain_values(items),
-            },
-        )
+    write_json(
+        json_out,
+        {
+            "schema": 1,
+            "cell": str(output),
+            "answers": len(said.said),
+            "left": [{"key": entry.key, "value": entry.value, "why": entry.why, "how": entry.how} for entry in left],
+            "findings": plain_values(items),
+        },
+    )
     require_passed(items, f"{output} is written, but the drives fail the check")
 
 

@@ -56,6 +56,10 @@ def compare(
 
     A change beyond the tolerance gives exit code 7. With --repeated: two or more results of one load; exit code 7 if
     their standard deviations are stated too small.
+
+    \b
+    Example:
+      servo-gateway compare before.json after.json --tolerance mass=2%,com=5mm
     """
     from gateway.report.comparison_page import COMPARED, compared_cells, render_compare
     from gateway.result.compare import CHANGED, sentence
@@ -80,7 +84,7 @@ def compare(
         raise FindingFailed(f"{sentence(found)}; see the table, and set the allowed change with --tolerance")
 
 
-#: Names of the files in the folder of --out.
+#: Names of the files in the folder of -o.
 JSON_NAME, PAGE_NAME = "repeatability.json", "repeatability.html"
 
 repeat_option = click.option(
@@ -88,12 +92,12 @@ repeat_option = click.option(
     "repetitions",
     type=click.IntRange(min=2, max=99),
     metavar="N",
-    help="Measure N times at other poses, remounted, into OUT/01 to OUT/N; compare their spread with the uncertainty.",
+    help="Measure N times at other poses, remounted, into FOLDER/01 to FOLDER/N; compare spread and uncertainty.",
 )
 
 
 def repeat(count: int, out: Path, resume: bool, measure: Callable[[int, Path], Result]) -> None:
-    """Measure `count` times and write the summary; with `resume`, results of OUT that exist already are read.
+    """Measure `count` times and write the summary; with `resume`, results of the folder that exist already are read.
 
     Raises
     ------
@@ -139,8 +143,7 @@ def show_comparison(
     found: ResultComparison | Repeatability, table: Table, conclusion: str, json_out: str | None
 ) -> None:
     """Write a comparison of results as JSON, if asked for; show its table, its remarks and its verdict."""
-    if json_out:
-        write_json(json_out, found.as_json())
+    write_json(json_out, found.as_json())
     session = session_of()
     session.show(table)
     for remark in found.remarks:

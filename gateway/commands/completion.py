@@ -16,7 +16,12 @@ SHELLS = ("bash", "zsh", "fish")
 @common
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:
-    """Print the shell script that completes commands and options; to install it see docs/how-to/completion.md."""
+    """Print the shell script that completes commands and options; to install it see docs/how-to/completion.md.
+
+    \b
+    Example:
+      servo-gateway completion bash
+    """
     root = ctx.find_root()
     program = root.info_name or "servo-gateway"
     variable = f"_{program.replace('-', '_').upper()}_COMPLETE"

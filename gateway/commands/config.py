@@ -16,12 +16,12 @@ from gateway.commands.shared_options import (
     agreed,
     bus_option,
     cell_argument,
+    cell_context,
     common,
     confirm,
     json_option,
     output_option,
     refuse_to_replace,
-    reserve,
     session_of,
     show_remarks,
     write_json,
@@ -42,14 +42,16 @@ def config() -> None:
     """Configuration of the drives as device configuration files (DCF, CiA 306), one per node."""
 
 
-def folder_option(name: str, help: str) -> Callable[[Function], Function]:
+def folder_option(*names: str, help: str) -> Callable[[Function], Function]:
     """Return the option for the folder of the DCF files."""
-    return click.option(name, "folder", type=FOLDER, metavar="DIR", help=f"{help}; default: dcf beside the cell file.")
+    return click.option(
+        *names, "folder", type=FOLDER, metavar="DIR", help=f"{help}; default: dcf beside the cell file."
+    )
 
 
 @config.command("dump")
 @cell_argument
-@writes(folder_option("--output", "Folder for NODE.dcf"))
+@writes(folder_option("-o", "--output", help="Folder for NODE.dcf"))
 @click.option("--eds", "sheets", multiple=True, metavar="[NODE=]FILE", help="EDS of a node whose profile names none.")
 @bus_option
 @json_option
@@ -60,11 +62,14 @@ def config_dump(
     """Read every object in the EDS of every drive and write DIR/NODE.dcf. Nothing is written to a drive.
 
     Status and process values are not part of the configuration; --json lists them separately.
+
+    \b
+    Example:
+      servo-gateway config dump cell.toml -o dcf
     """
-    from gateway.jobs.cell_context import open_cell
     from gateway.jobs.configure import dcf_path, dump, few_objects
 
-    context, session = open_cell(cell, bus_spec, reserve), session_of()
+    context, session = cell_context(cell, bus_spec), session_of()
     by_node: dict[int | None, Path] = {}
     for stated in sheets:
         node, equals, name = stated.partition("=")
@@ -92,8 +97,7 @@ def config_dump(
             f"{ours} objects hold values written by the gateway (write ledger); `restore` resets them to the original"
             " values"
         )
-    if json_out:
-        write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": nodes})
+    write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": nodes})
 
 
 # ------------------------------------------------------------------------------------------------------- comparing
@@ -141,7 +145,7 @@ def _show(nodes: Sequence[ComparedNode]) -> None:
 
 @config.command("diff")
 @cell_argument
-@folder_option("--dcf", "Folder with NODE.dcf")
+@folder_option("--dcf", help="Folder with NODE.dcf")
 @output_option("--junit", "junit_file", metavar="FILE", help="Write the comparison as JUnit XML.")
 @bus_option
 @json_option
@@ -152,12 +156,15 @@ def config_diff(
     """Compare the drives with their DCF and the EDS defaults. Nothing is written to a drive.
 
     Exit code 0 if every drive matches its file, otherwise 7.
+
+    \b
+    Example:
+      servo-gateway config diff cell.toml --dcf dcf
     """
     from drives.files import replace_file
-    from gateway.jobs.cell_context import open_cell
     from gateway.jobs.configure import compare_with_files
 
-    context = open_cell(cell, bus_spec, reserve)
+    context = cell_context(cell, bus_spec)
     nodes = compare_with_files(context, folder=folder)
     _show(nodes)
     name = context.loaded.cell.name
@@ -171,8 +178,7 @@ def config_diff(
                 why = f"EDS {row.text(row.default)}, DCF {row.text(row.file)}, drive {row.text(row.drive)}"
                 cases.append(Case(group, row.name) if row.state == "equal" else Case(group, row.name, row.state, why))
         replace_file(junit_file, junit_of(name, cases, datetime.now(UTC)))
-    if json_out:
-        write_json(json_out, {"schema": 1, "cell": name, "nodes": [_as_json(node) for node in nodes]})
+    write_json(json_out, {"schema": 1, "cell": name, "nodes": [_as_json(node) for node in nodes]})
     odd = [node for node in nodes if node.different]
     if odd:
         first, node_id = odd[0].different[0], odd[0].drive.node_id
@@ -189,7 +195,7 @@ def config_diff(
 
 @config.command("apply")
 @cell_argument
-@folder_option("--dcf", "Folder with NODE.dcf")
+@folder_option("--dcf", help="Folder with NODE.dcf")
 @click.option("--also", "also", multiple=True, metavar="INDEX:SUB", help=ALSO)
 @click.option("--store", is_flag=True, help="Store the parameters in the drives for the next power-up (0x1010).")
 @click.option("--yes", is_flag=True, help="Do not ask before writing.")
@@ -214,12 +220,15 @@ def config_apply(
     Node ids, bit rates and COB-IDs of other nodes are confirmed one by one, also with --yes. Objects that trigger an
     action (save, load, reset) are never written. The drives must be disabled. If a drive refuses a value, all values
     written before are restored.
+
+    \b
+    Example:
+      servo-gateway config apply cell.toml --dcf dcf
     """
-    from gateway.jobs.cell_context import open_cell
     from gateway.jobs.configure import apply_files, object_text
     from gateway.jobs.frame import Operator
 
-    context, session = open_cell(cell, bus_spec, reserve), session_of()
+    context, session = cell_context(cell, bus_spec), session_of()
 
     def ask(question: str, meanwhile: Callable[[], None]) -> None:
         if not yes:
@@ -234,12 +243,10 @@ def config_apply(
         allow=lambda change: not yes and sys.stdin.isatty() and agreed(f"{change}. Write it anyway?"),
         compared=_show,
     )
-    if json_out:
-        listed = [
-            _as_json(node) | {"stored": store, "left_out": [object_text(each) for each in node.left_out]}
-            for node in nodes
-        ]
-        write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": listed})
+    listed = [
+        _as_json(node) | {"stored": store, "left_out": [object_text(each) for each in node.left_out]} for node in nodes
+    ]
+    write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": listed})
 
 
 def _address(text: str) -> tuple[int, int]:

@@ -16,6 +16,8 @@ from gateway.commands.shared_options import (
     cell_argument,
     common,
     json_option,
+    load_option,
+    result_argument,
     session_of,
     write_json,
 )
@@ -31,10 +33,8 @@ SAME_SHARE = 0.005
 
 @click.command()
 @cell_argument
-@click.option(
-    "--load", "load_file", required=True, metavar="RESULT.json", type=FILE, help="Result, or CELL.loads.json#LABEL."
-)
-@click.option("--label", metavar="LABEL", help="Load to use, if the result has several.")
+@result_argument
+@load_option("label", "Load of RESULT, if it holds several.")
 @click.option(
     "--path",
     "path_file",
@@ -55,8 +55,13 @@ def cost(
 ) -> None:
     """Cycle time and torque reserve of a path before and after the load data are entered. Nothing moves.
 
-    Each motion is planned as fast as the limits of the cell allow with no load, the rated load and the identified load
-    in the torque model. The reserve of each plan is that with the identified load mounted.
+    RESULT is a result of this arm, or CELL.loads.json#LABEL. Each motion is planned as fast as the limits of the cell
+    allow with no load, the rated load and the identified load in the torque model. The reserve of each plan is that
+    with the identified load mounted.
+
+    \b
+    Example:
+      servo-gateway cost cell.toml result.json --path path.toml
     """
     from gateway.cell.config import load_cell
     from gateway.cost.job import cost_of
@@ -71,8 +76,7 @@ def cost(
     session = session_of()
     with session.working("cycle times"):
         found = cost_of(loaded, arm, load_file, label, path_file)
-    if json_out:
-        write_json(json_out, plain_values(found))
+    write_json(json_out, plain_values(found))
     session.show(f"load '{found.load}': {with_interval(found.mass_kg, found.mass_std_kg)} kg on arm '{found.arm}'")
     title = f"cycle time as planned with each load; torque reserve with the mounted load, % of the limit ({SAID})"
     has_gripper = math.isfinite(found.moves[0].settings[-1].load_acceleration_reserve)

@@ -49,12 +49,15 @@ def doctor(json_out: str | None) -> None:
     """Check this computer: Python, real-time permission, CAN interfaces, clock, browser, disk; print remedies.
 
     Nothing is sent and nothing is changed.
-    """
-    checks = list(look(Path("/"), Path.cwd()))
-    if json_out:
-        from gateway.result.values import plain_values
 
-        write_json(json_out, {"schema": 1, "checks": plain_values(checks)})
+    \b
+    Example:
+      servo-gateway doctor
+    """
+    from gateway.result.values import plain_values
+
+    checks = list(look(Path("/"), Path.cwd()))
+    write_json(json_out, {"schema": 1, "checks": plain_values(checks)})
     session_of().show(findings_table(checks, "this computer"))
 
 

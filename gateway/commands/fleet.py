@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from drives.files import replace_file
-from gateway.commands.shared_options import FILE, common, json_option, refuse_to_replace, session_of, write_json, writes
+from gateway.commands.shared_options import common, json_option, refuse_to_replace, session_of, write_json, writes
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ INDEX = "index.html"
 #: Warning for a scheduler without TLS.
 UNAUTHENTICATED = (
     "--scheduler without TLS: tasks and results are unauthenticated, unencrypted pickles; anyone with access to the "
-    "scheduler's port can run programs here and on the workers. Use tls:// with --tls-ca-file, --tls-cert, "
-    "--tls-key, or a separate network"
+    "scheduler's port can run programs here and on the workers. Use tls:// with certificates in the configuration of "
+    "Dask (distributed.comm.tls), or a separate network"
 )
 
 
@@ -42,6 +42,10 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
     """Add recordings (.h5), results (.json) and tables of summaries (.csv, .parquet), or folders of them, to STORE.
 
     Data that is already stored is not added again. A file that cannot be used is reported; the others are added.
+
+    \b
+    Example:
+      servo-gateway fleet ingest store run.h5
     """
     from dataclasses import asdict
 
@@ -52,8 +56,7 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
     with session.working("ingest"):
         done = ingest(open_or_make(store), files, datetime.now(UTC))
     session.show(f"{store}: {done.added} checks added, {done.known} already stored, from {done.files} files")
-    if json_out:
-        write_json(json_out, {"schema": 1, **asdict(done)})
+    write_json(json_out, {"schema": 1, **asdict(done)})
     if done.refused or done.clock:
         raise InputError.of([*done.refused, *done.clock])
 
@@ -65,12 +68,6 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
     metavar="ADDRESS",
     help="Dask scheduler, tls://HOST:PORT (tcp:// is not authenticated); default: processes on this machine.",
 )
-@click.option("--tls-ca-file", type=FILE, metavar="PEM", help="With tls://: certificate of the authority.")
-@click.option("--tls-cert", type=FILE, metavar="PEM", help="With tls://: certificate of this program.")
-@click.option("--tls-key", type=FILE, metavar="PEM", help="With tls://: key of that certificate.")
-@click.option(
-    "--workers", "count", type=click.IntRange(1), help="Processes on this machine; default: one per processor."
-)
 @click.option("--as-of", metavar="DATE", help="Evaluate as of that day (UTC); default: now.")
 @click.option("--silent-days", type=click.FloatRange(0, min_open=True), default=30.0, show_default=True,
               help="Days without a check after which a robot is listed as not seen.")  # fmt: skip
@@ -79,10 +76,6 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
 def fleet_analyse(
     store: Path,
     scheduler: str | None,
-    tls_ca_file: Path | None,
-    tls_cert: Path | None,
-    tls_key: Path | None,
-    count: int | None,
     as_of: str | None,
     silent_days: float,
     json_out: str | None,
@@ -90,24 +83,22 @@ def fleet_analyse(
     """Estimate all recordings with this version, find drift, and rank the robots by need for service.
 
     A cluster must see STORE under the same path. After an interruption, run it again: finished work is kept.
+
+    \b
+    Example:
+      servo-gateway fleet analyse store
     """
     from gateway.commands.console import grid
     from gateway.fleet.analysis import AsOf, run_analysis
     from gateway.fleet.store import open_store
-    from gateway.fleet.workers import Certificates, workers
+    from gateway.fleet.workers import workers
     from gateway.report.fleet_page import headline
     from gateway.result.values import plain_values
 
-    if scheduler is not None and count is not None:
-        raise click.UsageError("--workers is for this machine; a scheduler has its own workers")
-    certificates = [file for file in (tls_ca_file, tls_cert, tls_key) if file is not None]
-    if certificates and (len(certificates) < 3 or not (scheduler or "").startswith("tls://")):
-        raise click.UsageError("--tls-ca-file, --tls-cert and --tls-key go together, with --scheduler tls://HOST:PORT")
     asked, opened, session = AsOf(_moment(as_of), silent_days), open_store(store), session_of()
-    if scheduler is not None and not certificates:
+    if scheduler is not None and not scheduler.startswith("tls://"):
         session.note(UNAUTHENTICATED)
-    security = Certificates(*certificates) if certificates else None
-    with workers(scheduler, count, security) as spread, session.working("analysis"):
+    with workers(scheduler) as spread, session.working("analysis"):
         found = run_analysis(opened, spread, asked)
     session = session_of()
     asking = [line for line in found.robots if line.state != "healthy"][:NAMED]
@@ -115,8 +106,7 @@ def fleet_analyse(
     if rows:
         session.show(grid("robots, most urgent first", ["robot", "state", "why", "last seen"], rows, left=4))
     session.show(f"{headline(found)}; {found.checks} checks, {found.estimated} recordings estimated")
-    if json_out:
-        write_json(json_out, plain_values(found))
+    write_json(json_out, plain_values(found))
     if found.failed:
         raise InputError.of(found.failed)
 
@@ -143,6 +133,10 @@ def fleet_report(store: Path, output: Path | None, robots: tuple[str, ...], json
     """Write HTML pages of the last analysis: one of the fleet and one per robot.
 
     They open offline and can be printed.
+
+    \b
+    Example:
+      servo-gateway fleet report store
     """
     from gateway.fleet.analysis import FLEET_FILE
     from gateway.fleet.store import open_store
@@ -162,6 +156,5 @@ def fleet_report(store: Path, output: Path | None, robots: tuple[str, ...], json
         for name in robots or known:
             replace_file(folder / f"{name}.html", render_robot(read_robot(opened.analysis / "robots" / f"{name}.json")))
         replace_file(folder / INDEX, render_fleet(found))
-    if json_out:
-        write_json(json_out, {"schema": 1, "report": str(folder / INDEX), "robots": len(robots or known)})
+    write_json(json_out, {"schema": 1, "report": str(folder / INDEX), "robots": len(robots or known)})
     session.show(f"report: {folder / INDEX}, {len(robots or known)} robots")

@@ -6,7 +6,7 @@ Following error without feedforward, with the maximum load assumed, and with the
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,11 +19,13 @@ from gateway.commands.shared_options import (
     FILE,
     bus_option,
     cell_argument,
+    cell_context,
     common,
     json_option,
+    load_option,
     operator_option,
     output_option,
-    reserve,
+    result_argument,
     session_of,
     trace_option,
     write_json,
@@ -38,15 +40,15 @@ if TYPE_CHECKING:
 @click.option(
     "--path", "path_file", required=True, metavar="FILE", type=FILE, help="Path file: joint waypoints or timed points."
 )
-@click.option("--load", "load_file", metavar="RESULT.json", type=FILE, help="Result, or CELL.loads.json#LABEL.")
-@click.option("--label", metavar="LABEL", help="Load to use, if the result has several.")
+@result_argument
+@load_option("label", "Load of RESULT, if it holds several.")
 @click.option(
     "--identified",
     metavar="RESULT.json",
     type=FILE,
-    help="Friction and rotor inertia, instead of the cell's `identified`; default: from --load, if present.",
+    help="Friction and rotor inertia, instead of the cell's `identified`; default: from RESULT, if present.",
 )
-@output_option("--report", "report_file", metavar="REPORT.html", help="Page that compares the settings.")
+@output_option("-o", "--output", "report_file", metavar="PAGE.html", help="Page that compares the settings.")
 @trace_option
 @arm_option
 @operator_option
@@ -57,14 +59,16 @@ if TYPE_CHECKING:
 def follow(
     cell: Path,
     path_file: Path,
-    load_file: Path | None,
+    load_file: Path,
+    label: str | None,
+    identified: Path | None,
     report_file: Path | None,
+    trace: Path | None,
     arm_name: str | None,
     operator: str | None,
     bus_spec: str | None,
     json_out: str | None,
     moving: MoveChoice,
-    **files: Any,
 ) -> None:
     """Follow a path without feedforward, with the maximum load assumed, and with the identified load. The arm moves.
 
@@ -72,19 +76,31 @@ def follow(
 
     FILE is TOML (waypoints_rad = [[q1, .., q6], ..], optional name, speed_share, dwell_s, repeat) or CSV
     (q1_rad .. q6_rad: waypoints; with time_s: a timed path through the points).
+
+    \b
+    Example:
+      servo-gateway follow cell.toml --path path.toml result.json -o follow.html
     """
     from gateway.commands.terminal import terminal
-    from gateway.jobs.cell_context import open_cell
     from gateway.jobs.follow import follow as run
     from gateway.report.follow_page import render_follow
     from gateway.result.values import plain_values
 
-    context, session = open_cell(cell, bus_spec, reserve, moving.pacing), session_of()
+    context, session = cell_context(cell, bus_spec, moving.pacing), session_of()
     with stoppable(moving) as options:
-        person = terminal(session, moving)
-        result = run(context, path_file, load_file, person, options, arm=arm_name, operator_name=operator, **files)
-    if json_out:
-        write_json(json_out, plain_values(result))
+        result = run(
+            context,
+            path_file,
+            load_file,
+            terminal(session, moving),
+            options,
+            label=label,
+            identified=identified,
+            arm=arm_name,
+            trace=trace,
+            operator_name=operator,
+        )
+    write_json(json_out, plain_values(result))
     if report_file:
         write_page(report_file, render_follow(result))
         session.show(f"report: {report_file}")

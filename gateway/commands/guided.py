@@ -18,12 +18,13 @@ from gateway.commands.shared_options import (
     accept_options,
     bus_option,
     cell_argument,
+    cell_context,
     common,
+    folder_options,
     load_option,
     note_remarks,
     operator_option,
     refuse_unwritable,
-    reserve,
     session_of,
     write_json,
 )
@@ -59,8 +60,7 @@ warm_up_option = click.option(
 @click.command()
 @cell_argument
 @load_option("labels", "Label of a load to measure; repeatable.", multiple=True, default=("load",))
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
-@click.option("--resume", is_flag=True, help="Continue OUT/run.h5 instead of starting a new recording.")
+@folder_options(RECORDING)
 @until_option
 @thermal_option
 @warm_up_option
@@ -87,9 +87,13 @@ def commission(
     bus_spec: str | None,
     moving: MoveChoice,
 ) -> None:
-    """Guided commissioning: check, unloaded arm, each load, diagnosis, validation poses, report. The arm moves."""
+    """Guided commissioning: check, unloaded arm, each load, diagnosis, validation poses, report. The arm moves.
+
+    \b
+    Example:
+      servo-gateway commission cell.toml --load gripper --expect gripper=12,0.5
+    """
     from gateway.commands.terminal import terminal
-    from gateway.jobs.cell_context import open_cell
     from gateway.jobs.commission import WARM_UP, Job
     from gateway.jobs.commission import commission as run
     from gateway.model.arm_model import arm_named, arm_robot
@@ -109,7 +113,7 @@ def commission(
         raise click.UsageError("--junit holds one measurement, --repeat makes several: give one of them")
     check_expected(expected, labels)
     warm_up_s = longest_warm_up_s(thermal, warm_up_min, goal)
-    context = open_cell(cell, bus_spec, reserve, moving.pacing)
+    context = cell_context(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     note_remarks(arm_robot(context.loaded, arm))
     summaries = () if resume or repetitions is None else (out / JSON_NAME, out / PAGE_NAME)
@@ -119,7 +123,7 @@ def commission(
         """Measure into a folder, write result and report, and show them."""
         context.reserve(arm)
         recording = folder / RECORDING
-        refuse_unwritable(recording, "--out")
+        refuse_unwritable(recording, "-o")
         result_file, page = folder / "result.json", folder / "report.html"
         written = () if resume else (recording, folder / WARM_UP, result_file, page)
         with measured_data_noted(recording, resume, "commission"), stoppable(moving) as options:

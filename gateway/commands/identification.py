@@ -106,8 +106,7 @@ def _analysed(
     arguments = {"data": data, "model": request, "expected": expected, "operator": operator, **own}
     session = session_of()
     result = analyse(**arguments, say=session.note, working=session.working)
-    if json_out:
-        write_json(json_out, to_dict(result))
+    write_json(json_out, to_dict(result))
     if junit_file is not None:
         write_junit(junit_file, result)
     if archive is not None:
@@ -153,9 +152,14 @@ def estimate(
     rated_torque: float | None,
     **shared: Any,
 ) -> None:
-    """Estimate mass and centre of gravity of each unknown load, with 95 % intervals; name what is not identifiable."""
+    """Estimate mass and centre of gravity of each unknown load, with 95 % intervals; name what is not identifiable.
+
+    \b
+    Examples:
+      servo-gateway estimate bare.h5 loaded.h5 --cell cell.toml --json result.json
+      servo-gateway estimate table.csv --robot robot.urdf --expect gripper=12,0.5
+    """
     from gateway.api.analysis import estimate as run
-    from gateway.data.table import is_recording
     from gateway.estimate import METHODS, Coefficient
 
     if method not in METHODS:
@@ -164,10 +168,7 @@ def estimate(
     if method == "coefficient":
         if axis is None or lever is None:
             raise click.UsageError("--method coefficient needs --axis and --lever")
-        has_cell = shared["cell_file"] is not None or any(map(is_recording, shared["data"]))
-        if not has_cell and not (gear_ratio and gear_efficiency):
-            raise click.UsageError("--method coefficient needs --gear-ratio and --gear-efficiency, or --cell CELL")
-        own["coefficient"] = Coefficient(axis, lever, gear_ratio or 0.0, gear_efficiency or 0.0, rated_torque)
+        own["coefficient"] = Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
     _analysed(run, own, **shared)
 
 
@@ -180,6 +181,10 @@ def diagnose(holdout: tuple[Path, ...], only: frozenset[str], without: frozenset
     """Find the effects that the model lacks, validated on data that was not used in the fit.
 
     The verdict is one of: model complete, explained, improved, unexplained, undecided.
+
+    \b
+    Example:
+      servo-gateway diagnose bare.h5 loaded.h5 --cell cell.toml --json diagnosis.json
     """
     from gateway.api.analysis import diagnose as run
 

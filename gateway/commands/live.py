@@ -30,6 +30,10 @@ def live(cell: Path, port: int | None, recording: Path | None, bus_spec: str | N
     """Show the arms of a cell in a browser until Ctrl-C. The bus is only read: nothing is sent, nothing moves.
 
     Commands that move an arm show the same page with --live, then with a button that stops the arm.
+
+    \b
+    Example:
+      servo-gateway live cell.toml
     """
     from gateway.cell.buses import bus_specs
     from gateway.cell.config import load_cell

@@ -18,6 +18,7 @@ from gateway.commands.shared_options import (
     KNOWN_HELP,
     bus_option,
     cell_argument,
+    cell_context,
     common,
     effect_names,
     joint_angles,
@@ -27,7 +28,6 @@ from gateway.commands.shared_options import (
     note_remarks,
     output_option,
     recording_file,
-    reserve,
     session_of,
     trace_option,
     unit_option,
@@ -36,7 +36,6 @@ from gateway.commands.shared_options import (
 from gateway.commands.until import as_json, until_option
 
 if TYPE_CHECKING:
-    from gateway.acquire.plan import Plan
     from gateway.acquire.until_goal import Goal
     from gateway.excite.expected import Purpose
     from gateway.pipeline.known import KnownLoad
@@ -56,6 +55,7 @@ arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm to use,
     help="Choose rest poses that show these effects and tell them apart, within the same time.",
 )
 @moving_plan_options
+@output_option("-o", "--output", metavar="PLAN.json", help="Plan file for `record` and `rehearse`.")
 @arm_option
 @json_option
 @common
@@ -69,12 +69,19 @@ def plan(
     purposes: tuple[Purpose, ...],
     period_s: float | None,
     periods: int | None,
+    output: Path | None,
     arm_name: str | None,
     json_out: str | None,
 ) -> None:
-    """Choose rest poses or excitation trajectories; show limits, duration and expected uncertainty. Needs no bus."""
+    """Choose rest poses or excitation trajectories; show limits, duration and expected uncertainty. Needs no bus.
+
+    \b
+    Examples:
+      servo-gateway plan cell.toml --view plan.html
+      servo-gateway plan cell.toml --moving -o plan.json
+    """
     from gateway.acquire.distinguish import plan_distinguishing
-    from gateway.acquire.planning import make_plan
+    from gateway.acquire.planning import make_plan, rest_plan_as_plain
     from gateway.cell.config import load_cell
     from gateway.commands.pages import write_page
     from gateway.commands.plan_view import space_in_words, view_of_moving_plan, view_of_plan
@@ -110,14 +117,14 @@ def plan(
                 inputs = collect_inputs(ModelRequest(cell=cell, arm=arm_name), ())
                 chosen = plan_distinguishing(chosen, loaded, config, inputs, distinguish)
         show_plan(session, chosen)
-        page, body, drawn = partial(view_of_plan, chosen), plan_as_json(chosen), "poses, paths and keep-out boxes"
+        page, body, drawn = partial(view_of_plan, chosen), rest_plan_as_plain(chosen), "poses, paths and keep-out boxes"
     workspace = workspace_of(config, robot)
     session.show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
     if view is not None:
         write_page(view, page(workspace))
         session.show(f"{view}: {drawn}")
-    if json_out:
-        write_json(json_out, body)
+    write_json(None if output is None else str(output), body)
+    write_json(json_out, body)
 
 
 def _poses(
@@ -127,20 +134,6 @@ def _poses(
     numbers = [value for value in values if value.strip().isdecimal()]
     postures = tuple(joint_angles(value, session_of(ctx)) for value in values if value not in numbers)
     return postures, tuple(map(int, numbers))
-
-
-def plan_as_json(chosen: Plan) -> dict[str, Any]:
-    """Return a plan as plain values."""
-    from gateway.result.values import plain_values
-
-    return {
-        "schema": 1,
-        "arm": chosen.arm,
-        "duration_s": chosen.duration_s,
-        "poses": [{"pose": pose.number, "purpose": pose.purpose, "q_rad": list(pose.q_rad)} for pose in chosen.poses],
-        "expected": plain_values(chosen.expectation),
-        **({"distinguish": chosen.distinguish} if chosen.distinguish else {}),
-    }
 
 
 @click.command()
@@ -158,8 +151,14 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
 @click.option("--resume", is_flag=True, help="Continue RUN.h5: measure only what is missing under this load.")
 @trace_option
 @click.option(
-    "--pose",
-    "poses",
+    "--plan",
+    "plan_file",
+    metavar="PLAN.json",
+    type=FILE,
+    help="Measure what `plan` wrote: rest poses, or excitation trajectories.",
+)
+@click.option(
+    "--poses",
     multiple=True,
     callback=_poses,
     metavar="J1,J2,...|N",
@@ -187,23 +186,6 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     callback=lambda _ctx, _param, texts: known_loads(texts),
     help=f"With --until: a known load in the recording. {KNOWN_HELP}",
 )
-@click.option(
-    "--moving", "in_motion", is_flag=True, help="Run excitation trajectories instead of measuring rest poses."
-)
-@click.option(
-    "--plan",
-    "moving_plan",
-    metavar="PLAN.json",
-    type=FILE,
-    help="With --moving: plan file written by `plan --moving --json`.",
-)
-@click.option(
-    "--rate",
-    "rate_hz",
-    type=click.FloatRange(min=1, max=1000),
-    metavar="HZ",
-    help="With --moving: SYNCs per second; default: 250, if bus and drives allow it.",
-)
 @arm_option
 @bus_option
 @json_option
@@ -215,11 +197,9 @@ def record(
     output: Path,
     resume: bool,
     trace: Path | None,
+    plan_file: Path | None,
     poses: tuple[tuple[tuple[float, ...], ...], tuple[int, ...]],
     result: Path | None,
-    in_motion: bool,
-    moving_plan: Path | None,
-    rate_hz: float | None,
     arm_name: str | None,
     bus_spec: str | None,
     json_out: str | None,
@@ -230,36 +210,36 @@ def record(
 ) -> None:
     """Measure rest poses or excitation trajectories under one load. The arm moves.
 
-    Ctrl-C stops the arm on its path; the measured data is kept.
+    Ctrl-C stops the arm on its path; the measured data is kept. A run of excitation trajectories is continued by its
+    plan: --resume --plan PLAN.json.
 
     The first time with these drives, the command first proves that they stop on loss of the master.
+
+    \b
+    Examples:
+      servo-gateway record cell.toml --load gripper -o loaded.h5
+      servo-gateway record cell.toml --load gripper -o moving.h5 --plan plan.json
     """
     from gateway.acquire.session import MOVING_KEYS, REST_KEYS
     from gateway.commands.terminal import terminal
+    from gateway.excite.plan_file import is_moving_plan
     from gateway.jobs import measure
-    from gateway.jobs.cell_context import open_cell
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.pipeline.inputs import ModelRequest
     from gateway.result.values import plain_values
 
     postures, again = poses
-    chosen_poses = any(poses) or result is not None
     if goal is None and (bare is not None or known):
         raise click.UsageError("--bare and --known are references for --until: give --until as well")
-    if in_motion and (chosen_poses or goal is not None):
+    if sum(map(bool, (plan_file, postures, again, result, goal))) > 1:
         raise click.UsageError(
-            "--moving runs trajectories; --pose, --next and --until are for rest poses: give one of them"
+            "--plan, --poses J1,J2,.., --poses N, --next and --until exclude each other: give one of them"
         )
-    if chosen_poses and goal is not None:
-        raise click.UsageError("--until chooses the poses itself: omit --pose and --next")
-    if not in_motion and (moving_plan is not None or rate_hz is not None):
-        raise click.UsageError("--plan and --rate need --moving")
-    if sum(map(bool, (postures, again, result))) > 1:
-        raise click.UsageError("--pose J1,J2,.., --pose N and --next exclude each other: give one of them")
-    context, session = open_cell(cell, bus_spec, reserve, moving.pacing), session_of()
+    in_motion = plan_file is not None and is_moving_plan(plan_file)
+    context, session = cell_context(cell, bus_spec, moving.pacing), session_of()
     arm = arm_named(context.loaded, arm_name)
     if any(len(q_rad) != len(arm.axis) for q_rad in postures):
-        raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes: give one joint angle per axis")
+        raise click.UsageError(f"--poses: arm '{arm.name}' has {len(arm.axis)} axes: give one joint angle per axis")
     note_remarks(arm_robot(context.loaded, arm))
     operator = terminal(session, moving)
     if moving.yes and not in_motion:
@@ -267,13 +247,13 @@ def record(
     more = dict[str, Any]()
     with stoppable(moving) as options:
         run = context, label, output
-        if in_motion:
+        if plan_file is not None and in_motion:
             summary = measure.record_moving(
-                *run, operator, options, arm=arm.name, resume=resume, plan=moving_plan, rate_hz=rate_hz, trace=trace
+                *run, plan_file, operator, options, arm=arm.name, resume=resume, trace=trace
             )
         elif goal is None:
-            chosen = result or again or postures
-            summary = measure.record(*run, operator, options, arm=arm.name, resume=resume, poses=chosen, trace=trace)
+            kept: dict[str, Any] = {"arm": arm.name, "resume": resume, "plan": plan_file, "trace": trace}
+            summary = measure.record(*run, operator, options, poses=result or again or postures, **kept)
         else:
             model = ModelRequest(cell=cell, arm=arm.name, bare=bare, known=known)
             summary, decision = measure.record_until_known(
@@ -287,7 +267,6 @@ def record(
         session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
     for name, period in summary.missed:
         session.show(f"'{name}', period {period}: SYNCs not answered in two attempts; repeat it with --resume")
-    if json_out:
-        body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more}
-        left_out = REST_KEYS if in_motion else MOVING_KEYS
-        write_json(json_out, {key: body[key] for key in body if key not in left_out})
+    body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more}
+    left_out = REST_KEYS if in_motion else MOVING_KEYS
+    write_json(json_out, {key: body[key] for key in body if key not in left_out})

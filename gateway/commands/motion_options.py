@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from gateway.commands.shared_options import Function, confirm, session_of
-from gateway.jobs import SLOW_PERCENT
 
 if TYPE_CHECKING:
     from gateway.motion.stream import MoveOptions
@@ -53,21 +52,11 @@ class MoveChoice:
 MOVE: Final = tuple(each.name for each in fields(MoveChoice))
 
 
-def move_options(function: Function) -> Function:
+def move_options(function: Function, percent: int = FULL_PERCENT) -> Function:
     """Add MOVE: --override, --hold-to-run, --yes, --pacing, --live; the command takes them as one argument `moving`.
 
-    A closed terminal stops the command like Ctrl-C, also before motion.
+    A closed terminal stops the command like Ctrl-C, also before motion. `percent` is the default override.
     """
-    return _with_move(function, FULL_PERCENT)
-
-
-def slow_move_options(function: Function) -> Function:
-    """As `move_options`, with a low default speed."""
-    return _with_move(function, SLOW_PERCENT)
-
-
-def _with_move(function: Function, percent: int) -> Function:
-    """Add the options; `percent` is the default override."""
 
     def gathered(*arguments: Any, **named: Any) -> Any:
         from gateway.motion.stops import CLOSED, StoppedByPerson, output_closed
@@ -111,7 +100,7 @@ def _with_move(function: Function, percent: int) -> Function:
 
 def _moves(named: Mapping[str, Any]) -> bool:
     """Return whether motion was requested: `check` moves only with its motion options, no command with data."""
-    asked = [named[flag] for flag in ("move", "prove_stop", "brakes") if flag in named]
+    asked = [named[flag] for flag in ("move", "prove_stop", "brakes", "timing") if flag in named]
     return not named.get("data") and (not asked or any(asked))
 
 

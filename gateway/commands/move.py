@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
 
 from gateway.commands.measure import arm_option
-from gateway.commands.motion_options import MoveChoice, slow_move_options, stoppable
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
+    cell_context,
     common,
     joint_angles,
     note_remarks,
-    reserve,
     session_of,
     unit_option,
 )
+from gateway.jobs import SLOW_PERCENT
 
 NAMES = ("home", "loading")
 
@@ -40,7 +42,7 @@ def _to(ctx: click.Context, _param: click.Parameter, value: str) -> str | tuple[
 @unit_option
 @arm_option
 @bus_option
-@slow_move_options
+@partial(move_options, percent=SLOW_PERCENT)
 @common
 def move(
     cell: Path, to: str | tuple[float, ...], arm_name: str | None, bus_spec: str | None, moving: MoveChoice
@@ -49,13 +51,17 @@ def move(
 
     An arm outside its joint range first moves inwards. The first time with these drives, the command proves that they
     stop on loss of the master before it moves.
+
+    \b
+    Examples:
+      servo-gateway move cell.toml --to home
+      servo-gateway move cell.toml --to 0,0.5,0,0,0.3,0
     """
     from gateway.commands.terminal import terminal
-    from gateway.jobs.cell_context import open_cell
     from gateway.jobs.measure import move as move_arm
     from gateway.model.arm_model import arm_named, arm_robot
 
-    context = open_cell(cell, bus_spec, reserve, moving.pacing)
+    context = cell_context(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     if not isinstance(to, str) and len(to) != len(arm.axis):
         raise click.UsageError(f"--to: {len(to)} joint angles, and arm '{arm.name}' has {len(arm.axis)} axes")

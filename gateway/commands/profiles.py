@@ -40,7 +40,12 @@ def profiles() -> None:
 @json_option
 @common
 def profiles_list(json_out: str | None) -> None:
-    """List every profile: name, description, torque object, and whether motion is allowed."""
+    """List every profile: name, description, torque object, and whether motion is allowed.
+
+    \b
+    Example:
+      servo-gateway profiles list
+    """
     from drives.profile_file import list_profiles, load_profile
     from gateway.commands.console import grid
 
@@ -50,8 +55,7 @@ def profiles_list(json_out: str | None) -> None:
         profile = load_profile(name)
         moved = "read only" if profile.obstacles else "moved"
         rows.append([name, profile.description, profile.torque.kind, profile.torque.nature, moved])
-    if json_out:
-        write_json(json_out, {"schema": 1, "profiles": [dict(zip(columns, row, strict=True)) for row in rows]})
+    write_json(json_out, {"schema": 1, "profiles": [dict(zip(columns, row, strict=True)) for row in rows]})
     session_of().show(grid("drive profiles", columns, rows, left=len(columns)))
 
 
@@ -59,7 +63,12 @@ def profiles_list(json_out: str | None) -> None:
 @click.argument("name")
 @common
 def profiles_show(name: str) -> None:
-    """Print a profile as TOML (a name of the list, or a file)."""
+    """Print a profile as TOML (a name of the list, or a file).
+
+    \b
+    Example:
+      servo-gateway profiles show generic-cia402
+    """
     from drives.profile_file import load_profile
 
     click.echo(load_profile(name).text, nl=False)
@@ -68,7 +77,12 @@ def profiles_show(name: str) -> None:
 @profiles.command("schema")
 @common
 def profiles_schema() -> None:
-    """Print the JSON schema of a profile."""
+    """Print the JSON schema of a profile.
+
+    \b
+    Example:
+      servo-gateway profiles schema > profile.schema.json
+    """
     from drives.profile_file import profile_schema
 
     write_json("-", profile_schema())
@@ -100,6 +114,10 @@ def profiles_new(
 
     A draft with open questions about the torque can be read by every command, but motion is refused. The drive is only
     read, and not accessed at all if another master is active on the bus.
+
+    \b
+    Example:
+      servo-gateway profiles new --eds drive.eds --from-drive 1 -o drive.toml
     """
     from drives.draft.answers import ProfileAnswers, read_answers, with_answers
     from drives.draft.device import device_of_sheet
@@ -136,11 +154,10 @@ def profiles_new(
         session.show(f"refuses motion: {obstacle}")
     if not profile.obstacles:
         session.show(f'next: name it in the cell file, profile = "{output.stem}", then servo-gateway check CELL')
-    if json_out:
-        asked = [{"key": each.key, "asks": each.asks, "ways": list(each.ways)} for each in left]
-        body = {"schema": 1, "profile": str(output), "name": profile.name, "open": asked}
-        body |= {"obstacles": list(profile.obstacles), "left_out": [str(remark) for remark in device.sheet.remarks]}
-        write_json(json_out, body)
+    asked = [{"key": each.key, "asks": each.asks, "ways": list(each.ways)} for each in left]
+    body = {"schema": 1, "profile": str(output), "name": profile.name, "open": asked}
+    body |= {"obstacles": list(profile.obstacles), "left_out": [str(remark) for remark in device.sheet.remarks]}
+    write_json(json_out, body)
 
 
 def _at_terminal() -> bool:

@@ -62,6 +62,10 @@ def rehearse(
     """What a plan would find on this robot: known effects are put into simulated arms, and found again or not.
 
     Nothing moves, and no bus is needed. A quarter of an hour on two processors with all effects.
+
+    \b
+    Example:
+      servo-gateway rehearse cell.toml -o rehearsal.json --report rehearsal.html
     """
     from gateway.commands.pages import write_page
     from gateway.jobs.rehearse import rehearse as rehearsed

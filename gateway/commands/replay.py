@@ -32,15 +32,18 @@ def replay(file: Path, json_out: str | None) -> None:
     """Compute a stored measurement again and list what differs; exit 7 where a value differs by more than 1e-9.
 
     `estimate` and `diagnose` write such a file with --archive. A file of it that is missing or was edited is named.
+
+    \b
+    Example:
+      servo-gateway replay measurement.zip
     """
     from gateway.jobs.replay import replay as run
     from gateway.result.compare import TOLERANCE
 
     session = session_of()
     found = run(file, say=session.note, working=session.working)
-    if json_out:
-        listed = [{"where": each.where, "stored": each.stored, "again": each.again} for each in found]
-        write_json(json_out, {"schema": 1, "file": str(file), "tolerance": TOLERANCE, "differences": listed})
+    listed = [{"where": each.where, "stored": each.stored, "again": each.again} for each in found]
+    write_json(json_out, {"schema": 1, "file": str(file), "tolerance": TOLERANCE, "differences": listed})
     if found:
         rows = [[each.where, _short(each.stored), _short(each.again)] for each in found[:_SHOWN]]
         session.show(grid("what differs", ["value", "stored", "computed again"], rows, left=1))

@@ -33,6 +33,10 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
     """Write one page from a result. It opens offline and can be printed; PDF needs an installed browser.
 
     For a stopped recording, or its black box: the page shows the last seconds before the stop.
+
+    \b
+    Example:
+      servo-gateway report diagnosis.json -o report.html
     """
     from gateway.commands.pages import write_page
     from gateway.data.table import is_recording
@@ -56,8 +60,7 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
         held = _read_result(result)
         page, summary = render(held), {"robot": held.robot, "verdict": held.verdict}
     write_page(output, page)
-    if json_out:
-        write_json(json_out, {"schema": 1, "report": str(output), **summary})
+    write_json(json_out, {"schema": 1, "report": str(output), **summary})
     session_of().show(f"report: {output}")
 
 
@@ -82,6 +85,10 @@ def export(result: Path, fmt: str, label: str | None, every: bool, arm_name: str
 
     csv is the measured table that `estimate` and `diagnose` read: two rows per pose, joint-side torque. The other
     formats of a recording contain every sample, with units.
+
+    \b
+    Example:
+      servo-gateway export result.json --format abb -o load.mod
     """
     from drives.profile import is_assumed
     from gateway.data.table import is_recording
@@ -182,6 +189,10 @@ def import_(
     """Convert the log of another program to a measured table: text columns, MCAP, or a ROS 2 bag (.db3).
 
     The map assigns columns of the log to columns of the table, with units and signs.
+
+    \b
+    Example:
+      servo-gateway import log.csv --map ur-rtde --load gripper -o table.csv
     """
     from gateway.formats.log_map import read_map
     from gateway.formats.measured import table_from_log

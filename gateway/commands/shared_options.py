@@ -23,6 +23,7 @@ from gateway.errors import InputError
 if TYPE_CHECKING:
     from drives.bus_spec import BusSpec
     from drives.datasheet.sheet import Remark
+    from gateway.jobs.cell_context import CellContext
     from gateway.model.robot import Robot
     from gateway.pipeline.known import KnownLoad
     from gateway.result.acceptance import Expected
@@ -149,14 +150,31 @@ def output_option(*names: str, metavar: str, help: str, required: bool = False) 
     return writes(click.option(*names, type=FILE, metavar=metavar, required=required, callback=new_file, help=help))
 
 
-def measurement_options(data: str, recording: str) -> Callable[[Function], Function]:
-    """Return --from DATA, --out and --resume of a command that moves through poses, or reads `data` instead."""
+def folder_options(recording: str) -> Callable[[Function], Function]:
+    """Return -o FOLDER and --resume of a command that measures into a folder."""
 
     def decorate(command: Function) -> Function:
-        folder = click.Path(path_type=Path, file_okay=False)
-        resume = f"Continue OUT/{recording} instead of starting a new recording."
+        resume = f"Continue FOLDER/{recording} instead of starting a new recording."
         command = click.option("--resume", is_flag=True, help=resume)(command)
-        command = click.option("--out", type=folder, default=Path("out"), show_default=True)(command)
+        return click.option(
+            "-o",
+            "--output",
+            "out",
+            metavar="FOLDER",
+            type=click.Path(path_type=Path, file_okay=False),
+            default=Path("out"),
+            show_default=True,
+            help="Folder of all files that are written.",
+        )(command)
+
+    return decorate
+
+
+def measurement_options(data: str, recording: str) -> Callable[[Function], Function]:
+    """Return --from DATA, -o and --resume of a command that moves through poses, or reads `data` instead."""
+
+    def decorate(command: Function) -> Function:
+        command = folder_options(recording)(command)
         return click.option(
             "--from",
             "data",
@@ -185,9 +203,11 @@ json_option = writes(
 trace_option = output_option("--trace", metavar="FILE", help="Frame log (.blf, .log).")
 
 
-def _label(_ctx: click.Context, _param: click.Parameter, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
+def _label(
+    _ctx: click.Context, _param: click.Parameter, value: str | tuple[str, ...] | None
+) -> str | tuple[str, ...] | None:
     """Return load labels; one that can only mean the unloaded arm is a usage error."""
-    labels = (value,) if isinstance(value, str) else value
+    labels = (value,) if isinstance(value, str) else value or ()
     for label in labels:
         wrong = label_refused(label)
         if wrong:
@@ -196,7 +216,7 @@ def _label(_ctx: click.Context, _param: click.Parameter, value: str | tuple[str,
 
 
 def load_option(name: str, help: str, **settings: Any) -> Callable[[Function], Function]:
-    """Return option --load: label of the load during the measurement."""
+    """Return option --load: label of a load."""
     return click.option("--load", name, metavar="LABEL", callback=_label, help=help, **settings)
 
 
@@ -231,6 +251,8 @@ bus_option = click.option(
     help="Bus to use instead of that of the cell file; NAME=SPEC;NAME=SPEC for a cell with several buses.",
 )
 cell_argument = click.argument("cell", type=FILE)
+#: A result of the arm, or `CELL.loads.json#LABEL`.
+result_argument = click.argument("load_file", metavar="RESULT", type=FILE)
 
 
 warm_option = click.option(
@@ -247,9 +269,9 @@ def model_options(function: Function) -> Function:
     for option in (
         click.option(
             "--torque-gain",
-            metavar="exact|prior:S",
-            help="Relative standard deviation of the torque constants; default: std_percent of the cell, prior:0.03 "
-            "for tables.",
+            metavar="S",
+            help="Relative standard deviation of the torque constants, 0 for exact; default: std_percent of the cell, "
+            "0.03 for tables.",
         ),
         warm_option,
         click.option("--bare", type=FILE, help="Stored result of the unloaded arm."),
@@ -261,8 +283,8 @@ def model_options(function: Function) -> Function:
         ),
         click.option(
             "--inertials",
-            metavar="exact|prior:S|ignore",
-            help="Relative standard deviation of the link inertials in the URDF.",
+            metavar="S|ignore",
+            help="Relative standard deviation of the link masses of the URDF; 0 for exact.",
         ),
         click.option("--cell", "cell_file", type=FILE, help="Cell file."),
         click.option("--tip", metavar="LINK", help="Last link of the arm in the URDF; other joints are fixed at zero."),
@@ -301,8 +323,10 @@ def note_remarks(robot: Robot | None) -> None:
         session_of().note(remark)
 
 
-def write_json(target: str, payload: Mapping[str, Any]) -> None:
-    """Write JSON to a file (atomically) or, for `-`, to stdout; a NaN raises an error."""
+def write_json(target: str | None, payload: Mapping[str, Any]) -> None:
+    """Write JSON to a file (atomically) or, for `-`, to stdout; None and "" write nothing, a NaN raises an error."""
+    if not target:
+        return
     text = json.dumps(payload, indent=1, allow_nan=False) + "\n"
     if target == "-":
         click.echo(text, nl=False)
@@ -364,6 +388,13 @@ def reserve(spec: BusSpec) -> None:
     if spec.wire not in reserved:
         context.with_resource(bus_locked(spec, context.command_path))
         reserved.add(spec.wire)
+
+
+def cell_context(cell: Path, bus_spec: str | None = None, pacing: str | None = None) -> CellContext:
+    """Read a cell file; each bus that is used is locked until the running command ends. As `open_cell`."""
+    from gateway.jobs.cell_context import open_cell
+
+    return open_cell(cell, bus_spec, reserve, pacing)
 
 
 def drop_typed_ahead() -> None:

@@ -45,13 +45,29 @@ _NORMAL = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """Inputs of the coefficient method: joint (from 1), lever column [m], gear (0 = of the cell), rated torque [Nm]."""
+    """Inputs of the coefficient method: joint (from 1), lever column [m], gear, rated torque [Nm].
+
+    A gear ratio or efficiency that is None is that of the cell.
+    """
 
     joint: int
     lever: str
-    gear_ratio: float = 0.0
-    gear_efficiency: float = 0.0
+    gear_ratio: float | None = None
+    gear_efficiency: float | None = None
     rated_torque_nm: float | None = None
+
+    @property
+    def gear(self) -> tuple[float, float]:
+        """Return ratio and efficiency of the gear.
+
+        Raises
+        ------
+        InputError
+            One of them is neither stated nor that of a cell, or is zero.
+        """
+        if not (self.gear_ratio and self.gear_efficiency):
+            raise InputError("--method coefficient needs --gear-ratio and --gear-efficiency, or --cell CELL")
+        return self.gear_ratio, self.gear_efficiency
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,12 +96,12 @@ def estimate_coefficient(table: Table, knowledge: Knowledge, how: Coefficient | 
     Raises
     ------
     InputError
-        No inputs of the method, no such column, or a known load that is not in the data.
+        No inputs of the method, no gear, no such column, or a known load that is not in the data.
     DataUnusable
         The axis was not measured, no reference, or no common pose.
     """
-    if how is None or not (how.gear_ratio and how.gear_efficiency):
-        raise InputError("the coefficient method needs --axis, --lever, --gear-ratio and --gear-efficiency")
+    if how is None:
+        raise InputError("the coefficient method needs --axis and --lever")
     rest = table.take(~table.moving)
     if how.joint > table.axes:
         raise InputError(f"--axis {how.joint}: the data are of an arm of {table.axes} axes")
@@ -127,12 +143,12 @@ def estimate_coefficient(table: Table, knowledge: Knowledge, how: Coefficient | 
 
 def _poses(rest: Table, how: Coefficient, label: str) -> list[_Pose]:
     """Return every pose of one load; repeated torques of one approach direction are averaged at the gear output."""
-    axis = how.joint - 1
+    axis, (ratio, efficiency) = how.joint - 1, how.gear
     here = rest.take(np.asarray(rest.load) == label)
     motor = here.motor_torque_nm[:, axis]
-    motor = np.where(np.isfinite(motor), motor, here.tau_nm[:, axis] / how.gear_ratio)
+    motor = np.where(np.isfinite(motor), motor, here.tau_nm[:, axis] / ratio)
     side = np.sign(motor * here.direction[:, axis])
-    behind = motor * np.where(side < 0, 1.0 / how.gear_efficiency, how.gear_efficiency)
+    behind = motor * np.where(side < 0, 1.0 / efficiency, efficiency)
     out = []
     for pose in np.unique(here.pose):
         rows = (here.pose == pose) & np.isfinite(motor)
@@ -180,7 +196,8 @@ def _one(
     torque = np.array([pair for pair in torques.values() if pair is not None])
     change = torque[:, 0] - torque[:, 1]
     lever = np.array([item.lever_m for item in usable])
-    mass = reference_kg + how.gear_ratio * change / (STANDARD_GRAVITY_M_S2 * lever)
+    per_nm = how.gear[0] / (STANDARD_GRAVITY_M_S2 * lever)
+    mass = reference_kg + per_nm * change
     per_pose = {str(item.pose): float(value) for item, value in zip(usable, mass, strict=True)}
     contradictions = []
     over = [
@@ -212,7 +229,6 @@ def _one(
         friction_nm = float(np.sqrt(2.0) * BAND_UNSEEN * np.sqrt(np.mean(torque**2)))
         what = "the approach directions are not known: friction is not separated from the load"
         findings.append(Finding("warn", f"load {label}", what, f"{advice}, and record it (column dir{how.joint})"))
-    per_nm = how.gear_ratio / (STANDARD_GRAVITY_M_S2 * lever)
     # mean mass over the poses, as in the paper; standard deviation from the scatter (Student's t)
     n, mass_kg, std_kg, budget = len(mass), float(mass.mean()), np.nan, {}
     if n > 1:

@@ -17,8 +17,8 @@ from gateway.result.values import Matrix, Numbers, check_kind, decoded, json_obj
 
 SCHEMA: Final = 1
 KIND: Final = "moving_plan"
-_ADVICE: Final = "name the JSON that `plan CELL --moving --json OUT.json` wrote"
-_AGAIN: Final = "with servo-gateway plan CELL --moving --json OUT.json"
+_ADVICE: Final = "name the file that `plan CELL -o PLAN.json` wrote"
+_AGAIN: Final = "with servo-gateway plan CELL --moving -o PLAN.json"
 #: More harmonics or periods than any plan has.
 _MOST: Final = 1000
 
@@ -30,8 +30,19 @@ def plan_as_plain(plan: MovingPlan) -> dict[str, Any]:
     return sealed(plain_values(head | {"excitations": excitations, "expected": plan.expected}))
 
 
+def is_moving_plan(path: Path) -> bool:
+    """Return whether a plan file holds excitation trajectories, and not rest poses.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is not JSON.
+    """
+    return json_object(text_of(path, _ADVICE), str(path)).get("kind") == KIND
+
+
 def read_moving_plan(path: Path) -> MovingPlan:
-    """Read the plan that `plan --moving --json` wrote, without checking it for an arm.
+    """Read the plan that `plan --moving -o` wrote, without checking it for an arm.
 
     Raises
     ------

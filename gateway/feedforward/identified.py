@@ -119,8 +119,8 @@ def read_identified(loaded: LoadedCell, arm: ArmConfig, robot: Robot) -> Identif
         )
     if not result.motion:
         raise InputError(
-            f"{path}: holds neither friction nor rotor inertia, which need a motion: servo-gateway record CELL"
-            " --moving, then estimate; or remove `identified` from the cell file"
+            f"{path}: holds neither friction nor rotor inertia, which need a motion: servo-gateway plan CELL"
+            " --moving -o PLAN.json, record CELL --plan PLAN.json, estimate; or remove `identified` from the cell file"
         )
     return checked(result, str(path), len(arm.axis))
 

@@ -108,7 +108,7 @@ def identified_load(result: Result, label: str | None, where: str, bounds: LoadB
     if not named:
         raise ConfigError(f"{where}: holds no load '{label}'; it holds {known}")
     if label is None and len(result.loads) > 1:
-        raise ConfigError(f"{where}: holds several loads ({known}); name one with --label")
+        raise ConfigError(f"{where}: holds several loads ({known}); name one with --load")
     chosen = named[0]
     if chosen.frame != FRAME:
         raise InputError(f"{where}: load '{chosen.label}' is given in frame '{chosen.frame}', {FRAME} is needed")

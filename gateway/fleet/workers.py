@@ -6,12 +6,10 @@ repeated by another one.
 
 from __future__ import annotations
 
-import os
 import socket
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.fleet.columns import library
@@ -24,14 +22,6 @@ PATIENCE_S: Final = 15.0
 _AHEAD: Final = 2
 
 
-class Certificates(NamedTuple):
-    """PEM files for TLS: certificate authority, certificate and key of this program."""
-
-    authority: Path
-    certificate: Path
-    key: Path
-
-
 class Spreading(Protocol):
     """Applies a function to many items and yields each with its result or `GatewayError`, in any order."""
 
@@ -41,32 +31,25 @@ class Spreading(Protocol):
 
 
 @contextmanager
-def workers(
-    scheduler: str | None, count: int | None = None, security: Certificates | None = None
-) -> Generator[Spreading]:
+def workers(scheduler: str | None, count: int | None = None) -> Generator[Spreading]:
     """Provide the workers of a cluster, or of this computer if no scheduler is named.
+
+    Certificates of a scheduler at a tls:// address, and everything else about Dask, are stated in Dask's own
+    configuration (`distributed.comm.tls`).
 
     Parameters
     ----------
     scheduler : str or None
         Address, such as tcp://10.0.0.5:8786.
     count : int, optional
-        Processes on this machine; one per processor if omitted.
-    security : Certificates, optional
-        For a scheduler at a tls:// address.
+        Processes on this computer; one per processor if omitted.
 
     Raises
     ------
     ConfigError
-        The scheduler does not answer, or stops answering; a tls:// address without certificates, or unusable
-        certificates.
+        The scheduler does not answer, or stops answering; unusable certificates.
     """
     distributed = library("distributed")
-    options: dict[str, Any] = {}
-    if security is not None:
-        options["security"] = _security(security)
-    elif (scheduler or "").startswith("tls://"):
-        raise ConfigError(f"--scheduler {scheduler}: needs --tls-ca-file, --tls-cert and --tls-key")
     if scheduler is not None:
         place = scheduler.partition("://")[2] or scheduler
         host, _, port = place.rpartition(":")
@@ -80,17 +63,16 @@ def workers(
     try:
         if scheduler is None:
             cluster = distributed.LocalCluster(
-                n_workers=count
-                or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1),
+                n_workers=count,
                 threads_per_worker=1,
                 processes=True,
                 dashboard_address=None,
                 silence_logs="CRITICAL",
             )
         try:
-            client = distributed.Client(cluster or scheduler, timeout=PATIENCE_S, set_as_default=False, **options)
-        except (OSError, ValueError) as error:
-            raise ConfigError(_no_answer(str(scheduler))) from error
+            client = distributed.Client(cluster or scheduler, timeout=PATIENCE_S, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:  # without certificates Dask raises a TypeError
+            raise ConfigError(f"{_no_answer(str(scheduler))} ({error})") from error
         yield _Dask(client, scheduler or "the workers of this machine")
     finally:
         with suppress(OSError, TimeoutError):
@@ -98,21 +80,6 @@ def workers(
                 client.close(timeout=1.0)
             if cluster is not None:
                 cluster.close(timeout=10.0)
-
-
-def _security(files: Certificates) -> Any:
-    for file in files:
-        if not file.is_file():
-            raise ConfigError(f"{file}: there is no such file; name the PEM file of the cluster's certificates")
-    authority, certificate, key = map(str, files)
-    try:
-        security = library("distributed").Security(
-            tls_ca_file=authority, tls_client_cert=certificate, tls_client_key=key, require_encryption=True
-        )
-        security.get_connection_args("client")  # reads the files
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{authority}, {certificate}, {key}: cannot be used for TLS: {error}") from error
-    return security
 
 
 def _no_answer(scheduler: str) -> str:

@@ -113,7 +113,7 @@ def findings(
             "info",
             joints,
             f"{name} is not in the offset: it is neither identified nor stated",
-            f"identify it (record --moving, estimate), or give {KEYS[name]} of these axes in the cell file",
+            f"identify it (plan --moving, record, estimate), or give {KEYS[name]} of these axes in the cell file",
         )
         for joints, name in notes_of([axis.missing for axis in prepared.model.sources])
     ]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drives.profile import DriveProfile
 from gateway.cell.config import ArmConfig, LoadedCell
-from gateway.errors import DataUnusable, PlanRefused
+from gateway.errors import PlanRefused
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.identified import Identified, checked, corrected_parameters, drawn_parameters, read_identified
 from gateway.feedforward.law import AxisTerms, FeedforwardLaw, axis_terms
@@ -205,9 +205,7 @@ class Prepared:
         return len(self.settings) * self.path.duration_s
 
 
-def prepare(
-    loaded: LoadedCell, arm: ArmConfig, path_file: Path, load_file: Path | None, label: str | None = None
-) -> Prepared:
+def prepare(loaded: LoadedCell, arm: ArmConfig, path_file: Path, load_file: Path, label: str | None = None) -> Prepared:
     """Read and check path, load, cell and profiles; no bus is opened and nothing moves.
 
     Parameters
@@ -216,7 +214,7 @@ def prepare(
     arm : ArmConfig
     path_file : Path
         TOML or CSV, see `gateway.follow.path`.
-    load_file : Path or None
+    load_file : Path
         Result JSON of `estimate`, `diagnose` or `commission`.
     label : str, optional
         Label of the load in the result.
@@ -242,14 +240,9 @@ def prepare(
 
 
 def loaded_model(
-    loaded: LoadedCell, arm: ArmConfig, load_file: Path | None, label: str | None, *, fed: bool = True
+    loaded: LoadedCell, arm: ArmConfig, load_file: Path, label: str | None, *, fed: bool = True
 ) -> tuple[Result, FeedLoad, FeedModel]:
     """Result, its load, and the model of the arm; `fed` as in `feed_model`; raises as `prepare`."""
-    if load_file is None:
-        raise DataUnusable(
-            "no identified load: give --load RESULT.json, as `servo-gateway estimate DATA --json RESULT.json` or "
-            "`commission` writes it for this cell"
-        )
     robot = arm_robot(loaded, arm)
     profiles = [setup.profile for setup in axis_setups(loaded, arm)]
     result, where = read_result(load_file), str(load_file)

@@ -85,7 +85,7 @@ def day_std(factor: float) -> float:
 
 
 def parse_torque_gain(text: str) -> float:
-    """Relative standard deviation for `exact` (0) and `prior:S`.
+    """Return the relative standard deviation for `S`, `prior:S` and `exact` (0).
 
     Raises
     ------
@@ -95,8 +95,8 @@ def parse_torque_gain(text: str) -> float:
     share = relative_std(text)
     if share is None or share >= _MOST_GAIN_STD:
         raise ConfigError(
-            f"--torque-gain {text}: use exact, or prior:S with the relative standard deviation of the torque "
-            f"constants, 0 < S < {_MOST_GAIN_STD:g}, such as prior:0.03"
+            f"--torque-gain {text}: use the relative standard deviation of the torque constants, below "
+            f"{_MOST_GAIN_STD:g}, such as 0.03, or exact"
         )
     return share
 

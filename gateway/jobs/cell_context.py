@@ -22,7 +22,7 @@ from drives.profile import DriveProfile
 from gateway.acquire.blackbox import last_seconds
 from gateway.cell.buses import bus_specs
 from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing, with_sync_period
-from gateway.errors import PlanRefused, WrongPlace
+from gateway.errors import WrongPlace
 from gateway.model.arm_model import arm_robot
 from gateway.motion.opening import OpenArm, axis_setups, open_arm
 from gateway.motion.stream import MoveOptions
@@ -35,8 +35,6 @@ from gateway.result.result import Finding
 
 #: SYNC period of excitation trajectories, unless that of the cell is shorter [s].
 MOVING_SYNC_S: Final = 0.004
-#: Longest SYNC period that --rate may request, unless that of the cell is longer [s].
-SLOWEST_MOVING_SYNC_S: Final = 0.01
 #: The write ledger in the state folder.
 LEDGER: Final = "ledger.json"
 #: Object of the interpolation period.
@@ -136,42 +134,18 @@ class CellContext:
         folder.mkdir(parents=True, exist_ok=True)
         return folder / "".join(part if part.isalnum() or part in "-_." else "_" for part in name)
 
-    def for_motion(self, arm: ArmConfig, rate_hz: float | None) -> CellContext:
-        """Return the same cell with the SYNC period for excitation trajectories.
+    def for_motion(self, arm: ArmConfig) -> CellContext:
+        """Return the same cell with the SYNC period of excitation trajectories, if bus load and drives allow it.
 
         Drives interpolate linearly between setpoints: acceleration is concentrated at each setpoint, where the torque
         is read. A shorter period reduces the error of the torque due to acceleration.
-
-        Parameters
-        ----------
-        arm : ArmConfig
-        rate_hz : float or None
-            SYNCs per second. None: 1 / `MOVING_SYNC_S`, if the cell's rate is lower and bus load and drives allow it.
-
-        Raises
-        ------
-        PlanRefused
-            The requested rate is too low, exceeds the bus load, or cannot be configured in a drive.
         """
-        own_s = self.loaded.cell.bus[arm.bus].sync_period_s
-        wanted_s = MOVING_SYNC_S if rate_hz is None else 1.0 / rate_hz
-        if not wanted_s <= max(own_s, SLOWEST_MOVING_SYNC_S) * (1.0 + 1e-9):
-            least_hz = 1.0 / max(own_s, SLOWEST_MOVING_SYNC_S)
-            raise PlanRefused(
-                f"arm '{arm.name}': {rate_hz:g} SYNCs per second are too few for excitation trajectories (minimum "
-                f"{least_hz:g}); raise --rate, or omit it"
-            )
-        if wanted_s == own_s or (rate_hz is None and own_s < wanted_s):
+        if self.loaded.cell.bus[arm.bus].sync_period_s <= MOVING_SYNC_S:
             return self
-        faster = replace(self, loaded=with_sync_period(self.loaded, arm.bus, wanted_s), sync_period_s=wanted_s)
-        load = faster.bus_load(arm)
-        untold = [profile.name for profile in self.profiles(arm) if INTERPOLATION not in profile.write.allow]
-        if load.severity == "ok" and not untold:
-            return faster
-        if rate_hz is None:
-            return self
-        why = f"profile {untold[0]} does not let 0x60C2 be written" if untold else f"bus: {load.what}"
-        raise PlanRefused(f"arm '{arm.name}': {rate_hz:g} SYNCs per second: {why}; lower --rate, or omit it")
+        loaded = with_sync_period(self.loaded, arm.bus, MOVING_SYNC_S)
+        faster = replace(self, loaded=loaded, sync_period_s=MOVING_SYNC_S)
+        told = all(INTERPOLATION in profile.write.allow for profile in self.profiles(arm))
+        return faster if told and faster.bus_load(arm).severity == "ok" else self
 
     @contextmanager
     def last_seconds(self, options: MoveOptions, *opened: OpenArm) -> Generator[None]:

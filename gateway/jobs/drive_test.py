@@ -1,4 +1,4 @@
-"""Test the timing of the drives of an arm: answers to SYNC and controlwords, stops, and age of the torque word."""
+"""Measure the timing of the drives of an arm: answers to SYNC and controlwords, stops, and age of the torque word."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gateway.motion.stream import MoveOptions
 from gateway.report.drive_test_page import render_drive_test
 from gateway.result.drive_test import DriveTestReport
 
-PAGE: Final = "drive-test.html"
+PAGE: Final = "timing.html"
 
 
 def measure_timing(
@@ -38,7 +38,7 @@ def measure_timing(
     ----------
     context : CellContext
     folder : Path
-        Folder of `drive-test.html`, `J1.json`, `J2.json`, ...
+        Folder of `timing.html`, `J1.json`, `J2.json`, ...
     operator : Operator
     options : MoveOptions
         As `stoppable` yields them.

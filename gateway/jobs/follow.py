@@ -24,7 +24,7 @@ from gateway.result.origin import Origin, drives_of, files_of, in_words, softwar
 def follow(
     context: CellContext,
     path_file: Path,
-    load_file: Path | None,
+    load_file: Path,
     operator: Operator,
     options: MoveOptions,
     *,
@@ -41,8 +41,8 @@ def follow(
     context : CellContext
     path_file : Path
         TOML or CSV file of joint waypoints or timed points [rad, s].
-    load_file : Path or None
-        Result of this arm, or `CELL.loads.json#LABEL`; None is refused.
+    load_file : Path
+        Result of this arm, or `CELL.loads.json#LABEL`.
     operator : Operator
     options : MoveOptions
         As `stoppable` yields them.
@@ -95,7 +95,7 @@ def follow(
 
             tracks = drive(opened.arm, *parts, report, options, pacing)
     used = None if config.identified is None else context.loaded.path(config.identified)
-    files = (context.path, path_file, load_file and result_file(load_file)[0], used)
+    files = (context.path, path_file, result_file(load_file)[0], used)
     checksums = files_of(file for file in files if file)
     origin = Origin(in_words(datetime.now(UTC)), software(), drives_of(identities), checksums, operator_name)
     return replace(result_of(prepared, tracks), origin=origin)

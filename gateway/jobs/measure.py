@@ -15,7 +15,7 @@ from drives.gate import ArmState
 from gateway.acquire.goto import Destination, destination, go, plan_transfer, remarks, transfer_from_here
 from gateway.acquire.passes import passes_of
 from gateway.acquire.plan import Plan
-from gateway.acquire.planning import asked_by, make_plan, plan_again, plan_asked
+from gateway.acquire.planning import asked_by, make_plan, plan_again, plan_asked, read_rest_plan
 from gateway.acquire.session import RecordingSummary, plan_of_recording
 from gateway.acquire.session import record as record_plan
 from gateway.acquire.session import record_moving as record_passes
@@ -25,9 +25,7 @@ from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
 from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
 from gateway.errors import InputError
-from gateway.excite.excitation import MovingPlan
-from gateway.excite.plan_file import excitation_of
-from gateway.excite.planning import MovingRequest, make_moving_plan, read_moving_plan
+from gateway.excite.planning import read_moving_plan
 from gateway.jobs.cell_context import CellContext
 from gateway.jobs.frame import Operator, begin_motion, flange_question
 from gateway.model.arm_model import arm_named, arm_robot
@@ -118,6 +116,7 @@ def record(
     arm: str | None = None,
     resume: bool = False,
     poses: Sequence[tuple[float, ...]] | Sequence[int] | Path = (),
+    plan: Path | None = None,
     trace: Path | None = None,
 ) -> RecordingSummary:
     """Measure rest poses under one load: those of the cell, unless others are given.
@@ -138,6 +137,8 @@ def record(
         Continue the file: measure only what is missing under this load.
     poses : sequence of tuples of joint angles [rad], sequence of int, or Path
         Poses to measure, numbers of poses of the file to measure again, or a result that proposes poses.
+    plan : Path, optional
+        Plan file of rest poses to measure.
     trace : Path, optional
         File of the frame log.
 
@@ -149,24 +150,27 @@ def record(
     loaded, config = context.loaded, arm_named(context.loaded, arm)
     numbers = () if isinstance(poses, Path) else tuple(pose for pose in poses if isinstance(pose, int))
     earlier = continued(context, recording, resume or bool(numbers))
-    if isinstance(poses, Path):
+    if plan is not None:
+        chosen = plan_asked(loaded, config, read_rest_plan(plan, config)[0], earlier)
+    elif isinstance(poses, Path):
         proposed_rad, taken = asked_by(poses, loaded, config)
-        plan = plan_asked(loaded, config, proposed_rad, earlier, taken)
+        chosen = plan_asked(loaded, config, dict.fromkeys(proposed_rad, "fit"), earlier, taken)
     elif numbers:
         if earlier is None:
-            raise InputError(f"--pose {numbers[0]}: {recording} does not exist yet, so it has no pose with this number")
-        plan = plan_again(loaded, config, numbers, earlier)
+            raise InputError(f"--poses {numbers[0]}: {recording} does not exist yet, so it has no pose of this number")
+        chosen = plan_again(loaded, config, numbers, earlier)
     elif poses:
-        plan = plan_asked(loaded, config, [pose for pose in poses if not isinstance(pose, int)], earlier)
+        postures = [pose for pose in poses if not isinstance(pose, int)]
+        chosen = plan_asked(loaded, config, dict.fromkeys(postures, "fit"), earlier)
     elif earlier is None:
-        plan = make_plan(loaded, arm=config.name)
+        chosen = make_plan(loaded, arm=config.name)
     else:
-        plan = plan_of_recording(loaded, earlier, config.name)
-    operator.planned(config.name, plan)
+        chosen = plan_of_recording(loaded, earlier, config.name)
+    operator.planned(config.name, chosen)
     with context.opened(config, trace=trace) as opened:
         options = begin_motion(context, (opened,), options, operator, also=flange_question(load))
-        with operator.progress(plan.duration_s / options.override, f"load {load}") as listener:
-            return record_plan(opened, plan, load, recording, earlier, (listener,), options, again=bool(numbers))
+        with operator.progress(chosen.duration_s / options.override, f"load {load}") as listener:
+            return record_plan(opened, chosen, load, recording, earlier, (listener,), options, again=bool(numbers))
 
 
 def record_until_known(
@@ -213,25 +217,22 @@ def record_moving(
     context: CellContext,
     load: str,
     recording: Path,
+    plan: Path,
     operator: Operator,
     options: MoveOptions,
     *,
     arm: str | None = None,
     resume: bool = False,
-    plan: Path | None = None,
-    rate_hz: float | None = None,
     trace: Path | None = None,
 ) -> RecordingSummary:
-    """Drive excitation trajectories under one load: of a plan, of the continued file, or planned for the arm.
+    """Drive the excitation trajectories of a plan under one load; what the file holds already is not driven again.
 
     Parameters
     ----------
     context, load, recording, operator, options, arm, resume, trace
         As of `record`.
-    plan : Path, optional
-        File written by `plan --moving --json`.
-    rate_hz : float, optional
-        SYNCs per second; as `CellContext.for_motion`.
+    plan : Path
+        File written by `plan --moving -o`.
 
     Raises
     ------
@@ -240,23 +241,11 @@ def record_moving(
     """
     config = arm_named(context.loaded, arm)
     earlier = continued(context, recording, resume)
-    context = context.for_motion(config, rate_hz)
+    context = context.for_motion(config)
     stored = None if earlier is None else earlier.arm(config.name)
-    if plan is not None:
-        chosen = read_moving_plan(plan)
-        if chosen.arm != config.name:
-            raise InputError(
-                f"{plan}: is a plan for arm '{chosen.arm}', not for '{config.name}'; plan again for this arm"
-            )
-    elif stored is None or not stored.excitations:
-        chosen = make_moving_plan(context.loaded, config.name, MovingRequest())
-    else:  # in the order in which the recording drove them
-        first = {each.excitation: each.number for each in reversed(stored.periods)}
-        last = 1 + max(first.values(), default=0)
-        order = sorted(stored.excitations, key=lambda number: (first.get(number, last), number))
-        where = f"{recording}: excitation"
-        held = tuple(excitation_of(stored.excitations[number], f"{where} {number}") for number in order)
-        chosen = MovingPlan(config.name, held, {})
+    chosen = read_moving_plan(plan)
+    if chosen.arm != config.name:
+        raise InputError(f"{plan}: is a plan for arm '{chosen.arm}', not for '{config.name}'; plan again for this arm")
     driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(load)
     period_s = context.loaded.cell.bus[config.bus].sync_period_s
     passes = passes_of(chosen, load, driven, options.override, period_s)

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from gateway.acquire.planning import make_plan
+from gateway.acquire.planning import make_plan, read_rest_plan
 from gateway.api.analysis import postures
 from gateway.cell.config import load_cell
 from gateway.diagnose import diagnose
@@ -49,7 +49,6 @@ from gateway.pipeline.calibrated import Calibrated
 from gateway.pipeline.inputs import AnalysisInputs, ModelRequest, collect_inputs, read_rows
 from gateway.result.numerals import TWO_SIDED_95
 from gateway.result.result import LoadResult
-from gateway.result.values import json_object, text_of
 
 Floats = NDArray[np.float64]
 Run = dict[str, Any]
@@ -99,7 +98,7 @@ def rehearse(
     arm_name : str, optional
         Arm to use, if the cell has several.
     plan_file : Path, optional
-        What `plan --json` wrote, instead of the plan of the cell.
+        What `plan -o` wrote, instead of the plan of the cell.
     effects : collection of str
         Names of the effects to put in; all if empty.
     clean_arms : int
@@ -130,16 +129,8 @@ def rehearse(
         plan = make_plan(loaded, arm=config.name)
         q_rad, duration_s = [pose.q_rad for pose in plan.poses if pose.purpose == "fit"], plan.duration_s
     else:
-        stored = json_object(text_of(plan_file, "name the JSON that `plan --json` wrote"), str(plan_file))
-        try:
-            q_rad = [tuple(map(float, pose["q_rad"])) for pose in stored["poses"] if pose["purpose"] == "fit"]
-            duration_s = float(stored["duration_s"])
-        except (KeyError, TypeError, ValueError):
-            q_rad, duration_s = [], 0.0
-        if {len(posture) for posture in q_rad} != {len(config.axis)} or not duration_s > 0:
-            raise InputError(
-                f"{plan_file}: holds no rest poses of {len(config.axis)} axes; write it by `plan CELL --json PLAN.json`"
-            )
+        postures, duration_s = read_rest_plan(plan_file, config)
+        q_rad = [posture for posture, purpose in postures.items() if purpose == "fit"]
     about = collect_inputs(ModelRequest(cell=cell, arm=config.name, calibrated=False), ())
     asked = {
         "q_rad": [list(posture) for posture in q_rad],

@@ -53,7 +53,7 @@ class HeldKey:
         self._reading = threading.Lock()
 
     def wait(self) -> None:
-        """Drop earlier input, then wait until a key is pressed, and for its first repeat.
+        """Read key by key without echo from now on, drop earlier input, wait for a key, and for its first repeat.
 
         Without a repeat within `FIRST_REPEAT_S` the key counts as released.
 
@@ -62,10 +62,12 @@ class HeldKey:
         PlanRefused
             No key was pressed within `PATIENCE_S`.
         """
-        import termios
+        import termios  # of Linux and macOS
+        import tty
 
         with self._reading:
             with contextlib.suppress(termios.error):  # no terminal: nothing is typed ahead
+                tty.setcbreak(self._terminal)
                 termios.tcflush(self._terminal, termios.TCIFLUSH)
             self._last_s, self._repeated = -math.inf, False
             if not self._read(PATIENCE_S):
@@ -195,7 +197,7 @@ def line_entered(terminal: int) -> Callable[[], bool]:
 
 @contextmanager
 def held_key() -> Generator[HeldKey]:
-    """Open the keyboard of the terminal, read key by key without echo.
+    """Yield the key of the terminal, whose settings are as before at the end; `HeldKey.wait` changes them.
 
     Raises
     ------
@@ -204,9 +206,6 @@ def held_key() -> Generator[HeldKey]:
     """
     if sys.stdin is None or not sys.stdin.isatty():
         raise ConfigError("--hold-to-run needs a terminal: standard input is not one; start the command in a terminal")
-    import tty  # of Linux and macOS
-
     terminal = sys.stdin.fileno()
     with terminal_mode(terminal):
-        tty.setcbreak(terminal)
         yield HeldKey(terminal)

@@ -334,6 +334,7 @@ _CHECKS: Final[Mapping[str, Check]] = {
     questions.ZERO_OFFSET.key: lambda values: [beyond("joint angle", "zero_offset_rad", *values)],
     questions.SPEED_LIMIT.key: lambda values: [speeds(values)],
     questions.FLANGE.key: lambda values: [beyond("length", "flange_xyz_m", *values)],
+    questions.MAX_LOAD_COM.key: lambda values: [beyond("length", "max_load_com_m", *values)],
     questions.FLANGE_TURN.key: lambda values: [beyond("angle of a frame", "flange_rpy_rad", *values)],
     questions.MOUNTING.key: lambda values: [plausible.gravity(values)],
     questions.TORQUE_LIMIT.key: lambda values: (beyond("torque", "torque_limit_nm", v) for v in values),

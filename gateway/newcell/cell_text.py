@@ -137,6 +137,9 @@ def _arm(draft: Draft, files: Callable[[str], str]) -> list[str]:
     else:
         lines.append(f"rated_load_kg = {_sourced(rated.value, rated.source)}")
     lines.append(f"# max_load_kg = 5   # {load.source}" if load.value is None else _line("max_load_kg", load))
+    com = answers.taken.get(questions.MAX_LOAD_COM.key)
+    if com is not None:
+        lines.append(_line("max_load_com_m", com) if com.value else f"# max_load_com_m = [0, 0, 0.25]   # {com.source}")
     if draft.urdf is None:
         rows = dh_table(answers)
         lines += ["", "[arm.dh]", f"convention = {toml_value(rows.convention)}"]

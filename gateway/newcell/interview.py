@@ -262,6 +262,8 @@ def _limits(answers: CellAnswers, robot: Robot, axes: Axes) -> None:
     if rated is not None:
         answers.bounds = bounds_of(robot, torque_nm, (rated, questions.RATED_LOAD.key), trusts_masses=trusted)
     answers.settle([(questions.MAX_LOAD, offer)])
+    if answers.value(questions.MAX_LOAD) is not None:
+        answers.settle([(questions.MAX_LOAD_COM, Answer((), f"{ASSUMED}: at the origin of the flange"))])
 
 
 def _strangers(on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode], ids: Sequence[int]) -> list[str]:

@@ -194,6 +194,12 @@ MAX_LOAD: Final = CellQuestion(
     "default: the rated load; without both, half of each torque limit is reserved for the load",
     number_or_none(POSITIVE.of(MASSES)),
 )
+MAX_LOAD_COM: Final = CellQuestion(
+    "max_load_com_m",
+    "centre of gravity of that load in the last link, x, y, z [m], such as 0, 0, 250 mm, or none for the flange",
+    "drawing of the tool; poses are planned so that the drives hold this load, and the further out, the fewer remain",
+    place(ANY.of(LENGTHS), none=()),
+)
 NAME: Final = CellQuestion("name", "name of the cell", "", text)
 SYNC_PERIOD: Final = CellQuestion(
     "sync_period_s",
@@ -237,6 +243,7 @@ ALL: Final = (
     FLANGE_TURN,
     RATED_LOAD,
     MAX_LOAD,
+    MAX_LOAD_COM,
     POSES,
 )
 #: Answers that may apply to all axes.

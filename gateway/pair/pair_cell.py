@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -195,6 +196,11 @@ def load_pair(path: Path, bus: str | None = None, pacing: str | None = None) -> 
         A SPEC is not understood.
     """
     loaded = with_pacing(load_cell(path), pacing)
+    return pair_of(path, loaded, bus_specs(loaded.cell, bus))
+
+
+def pair_of(path: Path, loaded: LoadedCell, specs: Mapping[str, BusSpec]) -> PairCell:
+    """Return the pair of a cell that was read from a file; `specs` holds the bus of every name. As `load_pair`."""
     config = loaded.cell.pair
     if config is None:
         raise ConfigError(f"{path}: the cell has no [pair]; two arms that carry one part are described there")
@@ -212,7 +218,6 @@ def load_pair(path: Path, bus: str | None = None, pacing: str | None = None) -> 
     gap = None
     if distance is not None:
         gap = gap_layout(distance, buses.index(distance.bus), nominal_relation(*grasps))
-    specs = bus_specs(loaded.cell, bus)
     chosen = (specs[buses[0]], specs[buses[1]])
     return PairCell(loaded, config, (built[0], built[1]), PathProgram(commands, step_s), chosen, gap)
 
@@ -249,7 +254,7 @@ def _arm(loaded: LoadedCell, config: ArmConfig, grasp: Floats) -> PairArm:
             where = values.index(None) + 1
             raise ConfigError(
                 f"arm '{config.name}', axis {where}: {key} is missing; it is needed for force from torque:"
-                " give it, or name under `identified` a result of record --moving that holds it"
+                " give it, or name under `identified` a result of motion (plan --moving) that holds it"
             )
         constants.append(np.array([value.value for value in values]))
     rows = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +39,6 @@ from gateway.result.pair import LinkStatistics, PairRunResult, Skew, TaughtPoint
 
 #: What can be run without the simulator's truth.
 RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exact")
-
-
-@dataclass(frozen=True, slots=True)
-class PairRunRequest:
-    """Embodiment by name, and number of cycles to run."""
-
-    embodiment: str
-    cycles: int
 
 
 def cell_gains(cell: PairCell) -> Gains:
@@ -99,7 +91,7 @@ def open_taught_path(cell: PairCell, store: PairStore, resume: bool) -> TaughtPa
     if cell.gap is not None:
         raise ConfigError(
             f"cell '{cell.loaded.cell.name}' keeps a gap by distance sensors ([pair.distance]): there is no common part"
-            " to be taught by force; use run-pair --embodiment E5"
+            " to be taught by force; use pair run --variant E5"
         )
     if not store.points.exists():
         return TaughtPath(store.path_hash, store.cell_hash)
@@ -224,12 +216,12 @@ def run_pair(
     link: PairLink,
     cell: PairCell,
     store: PairStore,
-    request: PairRunRequest,
+    row: Embodiment,
+    count: int,
     report: Callable[[PairCycle], None],
     options: PairMotionOptions | None = None,
 ) -> PairRunResult:
-    """Run cycles of an embodiment; store the learned function and the data of the report."""
-    row = embodiment_of(cell, request.embodiment)
+    """Run so many cycles of an embodiment; store the learned function and the data of the report."""
     options = options or PairMotionOptions()
     moves = options.moves
     speed = options.speed or cell.config.speed
@@ -253,7 +245,7 @@ def run_pair(
     try:
         with powered(stream):
             run.start()
-            for _ in range(request.cycles):
+            for _ in range(count):
                 cycles.append(run.cycle())
                 run.motion.prepare(lambda: _keep(store, run, cycles))
                 guarded(report, moves.desk)(cycles[-1])

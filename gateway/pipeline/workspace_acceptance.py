@@ -50,7 +50,7 @@ def entered_load(result: Result, label: str | None, about: AnalysisInputs) -> En
     """
     loads = {load.label: load for load in result.loads}
     if label is None and len(loads) != 1:
-        raise InputError(f"the result holds the loads {', '.join(loads) or 'none'}: name one of them by --label")
+        raise InputError(f"the result holds the loads {', '.join(loads) or 'none'}: name one of them by --load")
     load = next(iter(loads.values())) if label is None else loads.get(label)
     if load is None:
         raise InputError(f"load '{label}' is not in the result; it holds {', '.join(loads) or 'none'}")

@@ -60,7 +60,7 @@ def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:
     for row, item in enumerate(shown):
         panel.box((0.0, min(item.ratio, top)), (row - 0.32, row + 0.32), "bar chosen" if item.chosen else "bar")
         panel.row_name(row, item.label, "name end strong" if item.chosen else "name end")
-        panel.text(panel.x(min(item.ratio, top)) + 6, panel.y(row) + 4, notation.plain(item.ratio, 2), "tick")
+        panel.text(panel.x(top) + 6, panel.y(row) + 4, notation.plain(item.ratio, 2), "tick")
     return panel.svg("Held-out error of each tested effect")
 
 

@@ -92,7 +92,10 @@ def render(result: Result) -> str:
             "legend": [(notation.load(label), swatches[label]) for label in measured],
         },
         **{
-            "bus_columns": list(dict.fromkeys(name for row in data.bus for name in row)),
+            "bus_rows": [
+                (name.replace("_", " "), [_cellular(row.get(name)) for row in data.bus])
+                for name in dict.fromkeys(name for row in data.bus for name in row)
+            ],
             "provenance": _provenance(result.provenance),
             "drive_rows": drive_rows(data.drives),
             "budget_rows": budget.budget_rows(result),
@@ -141,10 +144,7 @@ def _posed(poses_rad: Matrix) -> list[tuple[str, list[str]]]:
 def _provenance(tree: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
     rows = []
     for where, constants in tree.items():
-        if not isinstance(constants, Mapping):
-            rows.append(("analysis", where.replace("_", " "), *_constant(constants)))
-            continue
-        if "value" in constants:
+        if not isinstance(constants, Mapping) or "value" in constants:
             rows.append(("analysis", where.replace("_", " "), *_constant(constants)))
             continue
         rows += [(where, name.replace("_", " "), *_constant(item)) for name, item in constants.items()]

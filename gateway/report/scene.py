@@ -57,7 +57,7 @@ def pose_figures(drawn: Sequence[DrawnPose], classes: Mapping[str, str]) -> list
     ]
     figures = []
     for pose in poses[:MOST_POSES]:
-        title = f"pose {pose.pose}" + (", fresh" if pose.role == FRESH else "")
+        title = f"pose {pose.pose}" + (", validation" if pose.role == FRESH else "")
         if pose.pose < 0:
             title = f"at {pose.time_s:.1f} s" if math.isfinite(pose.time_s) else "in motion"
         panel = _panel([*every, *rim], ARM_WIDTH, ARM_MARGIN)

@@ -246,13 +246,13 @@ def line_chart(
     panel.x_axis(labels[0], round(size[0] / 90.0))
     if vertical is not None:
         panel.vertical(vertical, "limit")
+    for xs, low, high, kind in bands:
+        below, above = ([min(max(value, panel.y_range[0]), panel.y_range[1]) for value in edge] for edge in (low, high))
+        panel.area(xs, below, above, kind)
     for xs, ys, kind, radius, title in dots:
         for x, y in zip(xs, ys, strict=True):
             if math.isfinite(x) and math.isfinite(y):
                 panel.dot(x, y, kind, title.format(y=y), radius)
-    for xs, low, high, kind in bands:
-        below, above = ([min(max(value, panel.y_range[0]), panel.y_range[1]) for value in edge] for edge in (low, high))
-        panel.area(xs, below, above, kind)
     for xs, ys, kind in lines:
         panel.polyline(list(zip(xs, ys, strict=True)), kind)
     return panel.svg(describe)

@@ -105,6 +105,24 @@ def to_ur(loads: Sequence[ExportLoad], robot: str) -> str:
     return "\n".join([*lines, ""])
 
 
+def to_ros(loads: Sequence[ExportLoad], robot: str) -> str:
+    """Return `geometry_msgs/msg/Inertia` of ROS 2 by name of the load, as YAML: kg, m, kg m2.
+
+    The inertia is about the centre of gravity. The message has no frame: the comment of a load names it. An omitted
+    inertia is zero in the message.
+    """
+    lines = [f"# geometry_msgs/msg/Inertia of the loads identified on {robot}", *_assumed("#", loads)]
+    for load in loads:
+        note = f"{load.inertia_note}: left out, a message has zero" if load.inertia_kg_m2 is None else load.inertia_note
+        lines += [f"# {load.label}: {accuracy(load)}; frame: {load.frame}; {note}", f'"{load.name}":']
+        lines.append(f"  m: {number_text(load.mass_kg, 3)}")
+        centre = ", ".join(f"{name}: {number_text(value, 5)}" for name, value in zip("xyz", load.com_m, strict=True))
+        lines.append(f"  com: {{{centre}}}")
+        moments = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), load.inertia_kg_m2 or (), strict=False)
+        lines += [f"  {name}: {number_text(value, 6)}" for name, value in moments]
+    return "\n".join([*lines, ""])
+
+
 def _moments(load: ExportLoad) -> tuple[Numbers, str]:
     """Return moments of inertia about the axes of the frame, and a note on omitted products of inertia."""
     if load.inertia_kg_m2 is None:

@@ -24,7 +24,7 @@ from xml.sax.saxutils import quoteattr
 
 from drives.printable import one_line
 from gateway.errors import ConfigError, DataUnusable, InputError
-from gateway.result.controllers import to_abb, to_fanuc, to_kuka, to_ur, to_yaskawa
+from gateway.result.controllers import to_abb, to_fanuc, to_kuka, to_ros, to_ur, to_yaskawa
 from gateway.result.drawn import Drawn
 from gateway.result.export_load import SCREEN_WIDTH, ExportLoad, accuracy, complete, number_text, unique_names
 from gateway.result.inertia import principal_axes, zyx_degrees
@@ -238,4 +238,5 @@ FORMATS: dict[str, tuple[Writer, tuple[str, ...]]] = {
     "fanuc": (to_fanuc, ("flange",)),
     "yaskawa": (to_yaskawa, ("flange",)),
     "opc40010": (to_opc40010, ("flange",)),
+    "ros": (to_ros, ("flange", "link_6")),
 }

@@ -11,7 +11,7 @@ INERTIA_PARTS: Final = tuple(f"inertia_{name}_kg_m2" for name in ("xx", "yy", "z
 #: All of them.
 INERTIA_WHOLE: Final = "inertia_kg_m2"
 #: What a load is exported as: the keys of `gateway.result.export.FORMATS`.
-EXPORT_FORMATS: Final = ("urdf", "json", "abb", "kuka", "ur", "fanuc", "yaskawa", "opc40010")
+EXPORT_FORMATS: Final = ("urdf", "json", "abb", "kuka", "ur", "fanuc", "yaskawa", "opc40010", "ros")
 #: The load certificate, which a refused load has too: `gateway.result.dcc`.
 CERTIFICATE_FORMAT: Final = "dcc"
 #: What a recording is exported as: its measured table, or every sample by `gateway.formats`.

@@ -1,4 +1,4 @@
-"""Files of a pair of arms: runs for the report, taught points, transform functions, output of `learn` and `teach`.
+"""Files of a pair of arms: runs for the report, taught points, transform functions, output of `pair`.
 
 NaN is null in the file and means unknown. Path positions `s_m` are measured along the path of the master's gripper.
 """
@@ -251,6 +251,18 @@ class StoredFunction:
     cell_hash: _Said
     knots: Annotated[tuple[FunctionKnot, ...], Field(min_length=1)]
 
+    @property
+    def origin(self) -> FunctionOrigin:
+        """Return the summary of this function."""
+        return FunctionOrigin(
+            points=len(self.knots),
+            learn_source=self.learn_source,
+            speed=self.speed,
+            date=self.date,
+            embodiment=self.embodiment,
+            cycles=self.cycles,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class LearningSwitch:
@@ -281,11 +293,3 @@ class LearnStatus:
     schema: int = SCHEMA
     learning: Literal["on", "off"]
     functions: Mapping[Stage, FunctionOrigin | None]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TeachResult:
-    """Output of `teach --json`."""
-
-    schema: int = SCHEMA
-    points: tuple[TaughtPoint, ...]

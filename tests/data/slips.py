@@ -157,9 +157,9 @@ KNOWN = [
 ]
 
 OPTIONS = [
-    ("a trust in percent", ("--torque-gain", "prior:5"), "0 < S < 0.3, such as prior:0.03"),
-    ("a trust below zero", ("--torque-gain", "prior:-1"), "0 < S < 0.3, such as prior:0.03"),
-    ("a trust that is none", ("--inertials", "exakt"), "use exact, ignore, or prior:S"),
+    ("a trust in percent", ("--torque-gain", "prior:5"), "below 0.3, such as 0.03"),
+    ("a trust below zero", ("--torque-gain", "prior:-1"), "below 0.3, such as 0.03"),
+    ("a trust that is none", ("--inertials", "exakt"), "use a relative standard deviation such as 0.05"),
     ("a last link that is none", ("--tip", "link_9"), "there is no link 'link_9' for the tip; links are link_6"),
 ]
 

@@ -190,7 +190,6 @@ def full_disk() -> Generator[None]:
 # -- the table ---------------------------------------------------------------------------------------------------------
 
 PLAN = ("plan", "cell.toml")
-MOVING = ("record", "cell.toml", "--moving", "--load", "none", "-o", "r.h5")
 RECORD = ("record", "cell.toml", "-o", "r.h5", "--load")
 UNTIL = (*RECORD, "a", "--until")
 THERMAL = ("commission", "cell.toml", "--thermal")
@@ -383,17 +382,13 @@ COMMANDS = [
     ),
     ("motion: a purpose of rest poses", (*PLAN, "--for", "load"), 2, "need --moving"),
     ("motion: rest poses counted", (*PLAN, "--moving", "--poses", "5"), 2, "give one of them"),
-    ("motion: a plan that is not there", (*MOVING, "--plan", "p.json"), 3, r"p\.json: cannot be read"),
-    ("motion: too few SYNCs", (*MOVING, "--rate", "5"), 5, "5 SYNCs per second are too few .*minimum 100"),
-    ("motion: SYNCs that are no number", (*MOVING, "--rate", "nan"), 5, "nan SYNCs per second are too few"),
+    ("motion: a plan that is not there", (*RECORD, "none", "--plan", "p.json"), 3, r"p\.json: cannot be read"),
     (
-        "motion: more SYNCs than the bus carries",
-        (*MOVING, "--rate", "900"),
-        5,
-        "900 SYNCs per second: bus: planned .*lower --rate",
+        "motion: with a rest pose",
+        (*RECORD, "none", "--plan", "p.json", "--poses", "0,0,0,0,0,0"),
+        2,
+        "give one of them",
     ),
-    ("motion: with a rest pose", (*MOVING, "--pose", "0,0,0,0,0,0"), 2, "give one of them"),
-    ("motion: a rate for rest poses", (*RECORD, "a", "--rate", "100"), 2, "need --moving"),
     ("until: no unit", (*UNTIL, "mass=1"), 3, r"mass=1 lacks its unit \(kg, g, %\)"),
     ("until: unknown quantity", (*UNTIL, "weight=1%"), 3, "must be mass=.. or com=.."),
     ("until: an exact mass", (*UNTIL, "mass=0%"), 3, "a half width must be positive"),
@@ -490,7 +485,7 @@ OTHERS = [
     ),
     (
         "motion: a plan of one's own",
-        (*MOVING, "--plan", "p.json"),
+        (*RECORD, "none", "--plan", "p.json"),
         3,
         r"p\.json: has no sha256, .*write it with servo-gateway plan",
         together(cell(), text('{"schema": 1, "kind": "moving_plan"}', "p.json")),

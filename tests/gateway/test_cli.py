@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -47,9 +48,29 @@ def test_help_imports_nothing_heavy():
 def test_every_command_explains_itself_and_accepts_v_and_q(name):
     done = run(name, "--help")
     assert done.exit_code == 0, done.output
-    if name not in ("profiles", "cell", "config", "drive", "fleet"):
+    if name not in ("profiles", "cell", "config", "pair", "fleet"):
         assert "--verbose" in done.output
         assert "--quiet" in done.output
+
+
+def every_command(command, *words):
+    """Every command, with the words that call it."""
+    if isinstance(command, click.Group):
+        for name in command.list_commands(click.Context(command)):
+            yield from every_command(command.get_command(click.Context(command), name), *words, name)
+    else:
+        yield pytest.param(command, words, id=" ".join(words))
+
+
+@pytest.mark.parametrize(("command", "words"), list(every_command(main)))
+def test_the_help_of_a_command_has_an_example_that_can_be_typed(command, words):
+    lines = [line.partition(" > ")[0] for line in command.help.splitlines() if line.strip().startswith(cli.PROGRAM)]
+    assert lines
+    for line in lines:
+        _, *typed = shlex.split(line)
+        assert tuple(typed[: len(words)]) == words
+        parser = command.make_parser(click.Context(command, **main.context_settings))
+        assert not parser.parse_args(typed[len(words) :])[1]
 
 
 def test_unknown_command_and_missing_argument_are_usage_errors():

@@ -194,6 +194,8 @@ def test_what_is_missing_is_asked_for(table):
     complains(run("estimate", path, "--robot", URDF, "--inertials", "perhaps"), 3, "perhaps")
     complains(run("estimate", path, "--robot", URDF, "--bare", path), 3, "rows.csv")
     complains(run("estimate", path, "--method", "coefficient"), 2, "--lever")
+    lever = table("lever.csv", change=lambda line: f"{line},{'x_k2_m' if 'load' in line else 0.5}")
+    complains(run("estimate", lever, *COEFFICIENT, "--cell", SMALL, "--gear-ratio", 0), 3, "--gear-ratio")
 
 
 def test_diagnose_finds_nothing_missing_in_what_the_model_made(table):

@@ -45,15 +45,19 @@ def chain() -> SimChain:
     return read_chain(URDF.read_text(encoding="utf-8"), "large")
 
 
-@pytest.fixture(scope="module")
-def plant(chain: SimChain):
+def plant_of_links(chain: SimChain, **stated):
     bodies = [body for body in chain.bodies if body is not None]
     return nominal_plant(
         np.array([b.mass_kg for b in bodies]),
         np.array([b.com_m for b in bodies]),
         np.array([b.inertia_kg_m2 for b in bodies]),
-        payload=Payload("tool", 50.0, np.array([0.05, 0.02, 0.1])),
+        **stated,
     )
+
+
+@pytest.fixture(scope="module")
+def plant(chain: SimChain):
+    return plant_of_links(chain, payload=Payload("tool", 50.0, np.array([0.05, 0.02, 0.1])))
 
 
 def seen(chain: SimChain, plant, q=Q, time_s: float = 0.0):

@@ -250,21 +250,10 @@ def test_a_consumer_that_never_received_a_heartbeat_does_not_watch(drives):
 
 def test_quick_stop_ramps_down_and_switches_off(drives):
     master, simulation = drives
-    master.configure(NODE, 8)
-    start = master.enable(NODE)
-    step = round(0.5 * 0.01 * 100 * 131072 / (2 * math.pi))
-    for k in range(60):
-        master.cycle(NODE, 0x0F, start + k * step)
-    axis = simulation.simulation.arms[0].world.axes[2]
-    speed = axis.omega_rad_s
-    assert speed == pytest.approx(0.5, rel=0.05)
-    speeds, states = [], []
-    for _ in range(60):
-        status, _, _ = master.cycle(NODE, 0x02, start + 60 * step)
-        speeds.append(axis.omega_rad_s)
-        states.append(status & 0x6F)
+    axis, target = moving(master, simulation)
+    states, speeds = stop(master, axis, 0x02, target, 60)
     assert states[0] == 0x07
-    assert 0.1 < speeds[1] < speed
+    assert 0.1 < speeds[1] < 0.5
     assert states[-1] & 0x4F == 0x40
     assert not axis.free
 

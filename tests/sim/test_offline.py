@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pybullet
@@ -14,10 +13,10 @@ from benchmarks.blind.drawn_arm import draw_arm
 from benchmarks.blind.drawn_cell import draw_cell
 from sim.blind import distance, left_over, strength
 from sim.offline import PlannedVisit, Protocol, gravity_columns, half_floor, measure, statics
-from sim.plant import Payload, nominal_plant
+from sim.plant import Payload
 from sim.urdf import read_chain
+from tests.sim.test_effects import URDF, plant_of_links
 
-URDF = Path(__file__).parents[2] / "examples" / "large" / "robot.urdf"
 GRAVITY = np.array([0.3, -0.2, -9.7])
 QUIET = Protocol(settle=np.zeros(6))
 
@@ -29,13 +28,7 @@ def chain():
 
 @pytest.fixture(scope="module")
 def plant(chain):
-    bodies = [body for body in chain.bodies if body is not None]
-    return nominal_plant(
-        np.array([b.mass_kg for b in bodies]),
-        np.array([b.com_m for b in bodies]),
-        np.array([b.inertia_kg_m2 for b in bodies]),
-        gravity_m_s2=GRAVITY,
-    )
+    return plant_of_links(chain, gravity_m_s2=GRAVITY)
 
 
 @pytest.fixture(scope="module")

@@ -423,7 +423,7 @@ def test_the_demo_starts_both_programs_without_waiting_for_the_clock(monkeypatch
 
     monkeypatch.setattr("sim.demo.subprocess.Popen", Program)
     monkeypatch.setattr("sim.serve.wait_until_ready", lambda _process: "ready")
-    done = CliRunner().invoke(demo_command, ["--out", str(tmp_path)])
+    done = CliRunner().invoke(demo_command, ["-o", str(tmp_path)])
     assert done.exit_code == 1
     simulator, gateway = started
     assert "sim" in simulator

@@ -186,7 +186,7 @@ def guided(place, monkeypatch, capsys):
     def run(command, drives, *more, mounts=True, forgets=False):
         hands = Hands(drives, capsys, mounts, forgets)
         monkeypatch.setattr(sys, "stdin", hands)
-        arguments = [command, place.cell, "--bus", drives.bus, "--yes", "--out", place.folder / "out", *more]
+        arguments = [command, place.cell, "--bus", drives.bus, "--yes", "-o", place.folder / "out", *more]
         with pytest.raises(SystemExit) as left:
             main([str(argument) for argument in arguments])
         return left.value.code, hands, capsys.readouterr()

@@ -22,14 +22,14 @@ def test_a_right_load_passes_and_a_wrong_one_fails(place, serve, gateway, fast_a
     drives = fast_arm(serve())
     drives.mount("load")
     out = place.folder / "accepted"
-    where = ("--bus", drives.bus, "--out", out)
-    words = ["accept", place.cell, "--load", identified_by_table, "--tolerance", "5%", *where]
+    where = ("--bus", drives.bus, "-o", out)
+    words = ["accept", place.cell, identified_by_table, "--tolerance", "5%", *where]
     refused = gateway(*words, input="n\n")
     assert refused.exit_code == 130, refused.output
     assert "has to be mounted" in refused.output
     assert not (out / "accept.h5").exists()
 
-    done = gateway(*words, "--yes", "--json", place.folder / "a.json", "--report", place.folder / "a.html")
+    done = gateway(*words, "--yes", "--json", place.folder / "a.json")
     assert done.exit_code == 0, done.output
     assert drives.stand_still()
     answer = json.loads((place.folder / "a.json").read_text())
@@ -55,11 +55,11 @@ def test_a_right_load_passes_in_real_time(place, fast_arm, gateway, identified_b
     with running(cell, payload=place.payload) as drives:
         drives.mount("load")
         keep_proof_of_stop(cell, drives.bus, tmp_path_factory)
-        words = ["accept", cell, "--load", identified_by_table, "--tolerance", "5%", "--bus", drives.bus, "--yes"]
+        words = ["accept", cell, identified_by_table, "--tolerance", "5%", "--bus", drives.bus, "--yes"]
 
         def accept() -> tuple[int, str]:
             shutil.rmtree(out, ignore_errors=True)
-            done = gateway(*words, "--out", out, "--json", place.folder / "a.json")
+            done = gateway(*words, "-o", out, "--json", place.folder / "a.json")
             return done.exit_code, done.output
 
         code, said = undisturbed(accept)
@@ -76,7 +76,7 @@ def test_a_right_load_passes_in_real_time(place, fast_arm, gateway, identified_b
 def test_a_tolerance_within_the_noise_is_refused_before_anything_moves(place, serve, gateway, identified_by_table):
     drives = serve()
     out = place.folder / "accepted"
-    words = ["--load", identified_by_table, "--tolerance", "0.01%", "--bus", drives.bus, "--out", out, "--yes"]
+    words = [identified_by_table, "--tolerance", "0.01%", "--bus", drives.bus, "-o", out, "--yes"]
     done = gateway("accept", place.cell, *words)
     assert done.exit_code == 5, done.output
     assert "too small for the noise" in " ".join(done.output.split())

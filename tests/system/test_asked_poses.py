@@ -39,18 +39,18 @@ def asking(place, cell="small", poses=(OTHER,)):
 def test_poses_and_what_a_result_asks_for_are_measured_also_once_more_by_number(place, gateway, serve, fast_arm):
     drives = fast_arm(serve())
     degrees = ",".join(str(math.degrees(float(value))) for value in POSE.split(","))
-    done = record(gateway, place, drives, "--pose", degrees, "--unit", "deg", "--pose", "8,-3,9,3,-9,12")
+    done = record(gateway, place, drives, "--poses", degrees, "--unit", "deg", "--poses", "8,-3,9,3,-9,12")
     assert done.exit_code == 0, done.output
     (arm,) = place.recording().arms
     assert arm.poses[0].q_rad == pytest.approx(tuple(map(float, POSE.split(","))))
-    again = record(gateway, place, drives, "--pose", "1")
+    again = record(gateway, place, drives, "--poses", "1")
     assert again.exit_code == 0, again.output
     assert visits(place) == [(1, -1), (1, -1), (1, 1), (1, 1), (2, -1), (2, 1)]
     assert drives.stand_still()
     assert not [path for path in place.folder.iterdir() if "blackbox" in path.name], "every run has ended well"
     table = place.recording().table()  # a repeated visit is distinguished by its time
     assert sorted(table.pose.tolist()) == [1, 1, 1, 1, 2, 2]
-    missing = record(gateway, place, drives, "--pose", "7")
+    missing = record(gateway, place, drives, "--poses", "7")
     assert (
         missing.exit_code,
         "holds no pose 7 of arm 'main'; its poses are 1, 2" in " ".join(missing.output.split()),
@@ -65,15 +65,15 @@ def test_poses_and_what_a_result_asks_for_are_measured_also_once_more_by_number(
 def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway):
     without_drives = ("record", place.cell, "--bus", "virtual:empty", "--load", "none", "-o", place.run, "--yes")
     for more, code, says in (
-        (("--pose", "0.1,0.2"), 2, "has 6 axes"),
-        (("--pose", "0,30,0,0,30,0"), 2, "add --unit deg"),
-        (("--pose", "a,b", "--unit", "deg"), 2, "joint angles in deg"),
-        (("--pose", "7"), 3, "does not exist yet, so it has no pose with this number"),
-        (("--pose", "7", "--pose", POSE), 2, "give one of them"),
-        (("--pose", POSE, "--next", asking(place)), 2, "give one of them"),
+        (("--poses", "0.1,0.2"), 2, "has 6 axes"),
+        (("--poses", "0,30,0,0,30,0"), 2, "add --unit deg"),
+        (("--poses", "a,b", "--unit", "deg"), 2, "joint angles in deg"),
+        (("--poses", "7"), 3, "does not exist yet, so it has no pose of this number"),
+        (("--poses", "7", "--poses", POSE), 2, "give one of them"),
+        (("--poses", POSE, "--next", asking(place)), 2, "give one of them"),
         (("--next", asking(place, cell="other")), 3, "was made on cell 'other', not on 'small'"),
         (("--next", asking(place, poses=())), 3, "requests no pose"),
-        (("--pose", "0,0,0,0,2.5,0"), 5, "joint 5 outside"),
+        (("--poses", "0,0,0,0,2.5,0"), 5, "joint 5 outside"),
     ):
         done = gateway(*without_drives, *more)
         assert done.exit_code == code, done.output

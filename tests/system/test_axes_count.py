@@ -96,6 +96,6 @@ def test_a_reversed_torque_is_found_by_small_moves(place, serve, gateway, monkey
 
 def test_a_path_is_not_followed(place, gateway, arm):
     (place.folder / "path.csv").write_text("q1_rad\n0\n", encoding="utf-8")
-    said = gateway("follow", place.cell, "--path", place.folder / "path.csv", "--yes")
+    said = gateway("follow", place.cell, place.folder / "r.json", "--path", place.folder / "path.csv", "--yes")
     assert said.exit_code == 3
     assert f"arm 'main' has {arm.axes} axes; follow supports 6 axes only" in said.output

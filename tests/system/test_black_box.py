@@ -18,7 +18,7 @@ AT_SYNC = 225
 def test_a_drive_fault_is_in_the_black_box(place, gateway, serve):
     drives = serve(fault=f'[[fault]]\nkind = "drive_fault"\nnode = 4\nat_sync = {AT_SYNC}\nsyncs = 0\n')
     arguments = ["record", place.cell, "--load", "none", "-o", place.run, "--bus", drives.bus, "--yes", "-q"]
-    done = gateway(*arguments, "--pose", "0.3,-0.2,0.3,0.2,0.3,0.2")
+    done = gateway(*arguments, "--poses", "0.3,-0.2,0.3,0.2,0.3,0.2")
     assert done.exit_code == 4, done.output
     path = box_of(place.run)
     assert str(path) in done.stderr

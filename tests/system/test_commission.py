@@ -1,4 +1,4 @@
-"""The whole job on simulated drives: check, bare, load, diagnosis, fresh poses, report; then what follows from it."""
+"""The whole job on simulated drives: check, bare, load, diagnosis, validation poses, report; then what follows."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
     source = hashlib.sha256((out / "run.h5").read_bytes()).hexdigest()
     for text in (source, "A. Person", "serial number", result["sha256"]):
         assert text in page
-    for text in ("Is the model good?", "pose 7, fresh", "datasheet p. 7", "SYNC cycles", "assumed"):
+    for text in ("Is the model good?", "pose 7, validation", "datasheet p. 7", "SYNC cycles", "assumed"):
         assert text in page
 
     again = gateway("estimate", out / "run.h5", "--json", "-")
@@ -93,7 +93,7 @@ def test_earlier_files_keep_their_names_where_a_person_does_not_agree(place, ser
     for name in names:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_text("earlier")
-    done = gateway(command, place.cell, "--bus", serve().bus, "--out", out, *more, input="n\n")
+    done = gateway(command, place.cell, "--bus", serve().bus, "-o", out, *more, input="n\n")
     assert done.exit_code == 130, done.output
     assert {str(path.relative_to(out)) for path in out.rglob("*.*")} == set(names)
     assert "Measured data" not in done.stderr

@@ -20,7 +20,7 @@ def test_the_demo_names_the_hidden_balancer_and_weighs_the_load(tmp_path):
     shutil.copy(EXAMPLE / "robot.urdf", tmp_path)
     cell = tmp_path / "cell.toml"
     cell.write_text(measured_shortly((EXAMPLE / "cell.toml").read_text(encoding="utf-8"), HEAVY), encoding="utf-8")
-    words = [sys.executable, "-m", "sim.demo", "--cell", str(cell), "--out", str(tmp_path / "out")]
+    words = [sys.executable, "-m", "sim.demo", "--cell", str(cell), "-o", str(tmp_path / "out")]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True) as demo:
         try:
             output, _ = demo.communicate(timeout=LONGEST_S)

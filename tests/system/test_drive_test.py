@@ -1,4 +1,4 @@
-"""`drive test` against simulated drives: figures, page and files; refused inputs."""
+"""`check --timing` against simulated drives: figures, page and files; refused inputs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def tested(gateway, place, serve):
         drives = serve(**options)
         prepare(drives)
         out = place.folder / "out"
-        done = gateway("drive", "test", place.cell, "--bus", drives.bus, "--yes", "-o", out, *more)
+        done = gateway("check", place.cell, "--timing", "--bus", drives.bus, "--yes", "-o", out, *more)
         assert code is None or done.exit_code == code, done.output
         return done, {path.stem: json.loads(path.read_text()) for path in sorted(out.glob("J*.json"))}, out, drives
 
@@ -50,7 +50,7 @@ def test_a_good_drive_has_no_finding_and_a_page(tested):
     ):
         assert low <= figures[name]["value"] <= high, figures[name]
         assert figures[name]["interval"][0] <= figures[name]["value"] <= figures[name]["interval"][1]
-    page = (out / "drive-test.html").read_text()
+    page = (out / "timing.html").read_text()
     assert "2 drives tested, nothing found" in page
     assert drives.stand_still()
 
@@ -185,7 +185,7 @@ def test_earlier_results_are_kept_without_force(tested, place):
 
 def test_nothing_is_tested_without_a_yes(gateway, place, serve):
     drives = serve()
-    done = gateway("drive", "test", place.cell, "--bus", drives.bus, "-o", place.folder / "out", input="n\n")
+    done = gateway("check", place.cell, "--timing", "--bus", drives.bus, "-o", place.folder / "out", input="n\n")
     assert done.exit_code == 130
     assert not (place.folder / "out").exists()
     assert drives.handle.simulation.servers[0].sync_count == 0

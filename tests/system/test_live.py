@@ -60,7 +60,7 @@ class Watcher(threading.Thread):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not available(), reason=MISSING)
-def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pages, tmp_path, pictures):
+def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pages, tmp_path):
     drives = serve()
     seen: dict[str, object] = {}
 
@@ -86,8 +86,6 @@ def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pa
             seen[scheme] = window.run("return [document.documentElement.scrollWidth, innerWidth]")
             window.picture(tmp_path / f"{scheme}-narrow.png")
             window.resize(*WIDE)
-        window.in_light("light")
-        window.picture(pictures / "live.png")
         window.run("document.getElementById('stop').click()")
         wait_until(lambda: not window.run("return document.getElementById('over').hidden"))
         seen["over"] = window.run("return document.getElementById('over').textContent")
@@ -198,7 +196,7 @@ def test_what_is_received_beside_a_run_is_what_the_run_has_recorded(place, serve
         beside = threading.Thread(target=listen)
         beside.start()
         try:
-            wanted = ("--load", "none", "-o", place.run, "--yes", "--pose", "0.1,0,0.2,0,0.1,0")
+            wanted = ("--load", "none", "-o", place.run, "--yes", "--poses", "0.1,0,0.2,0,0.1,0")
             done = gateway("record", place.cell, "--bus", drives.bus, *wanted)
         finally:
             stop.set()

@@ -66,7 +66,7 @@ def test_following_is_refused(place, gateway, serve):
             json.loads(RESULT_SEED.replace(b"21.0", b"6.0")) | {"robot": arm_robot(loaded, loaded.cell.arm[0]).name}
         )
     )
-    words = ["follow", place.cell, "--path", EXAMPLES / "small" / "path.csv", "--load", known]
+    words = ["follow", place.cell, "--path", EXAMPLES / "small" / "path.csv", known]
     done = gateway(*words, "--bus", drives.bus, "--yes")
     refused(done, drives, "polarity")
 

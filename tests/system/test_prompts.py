@@ -171,7 +171,7 @@ def test_what_happens_while_a_load_is_mounted_is_read_from_the_drives(
         return "yes\n"
 
     monkeypatch.setattr(sys, "stdin", Person(answer))
-    words = ["commission", place.cell, "--bus", drives.bus, "--yes", "--out", place.folder / "out"]
+    words = ["commission", place.cell, "--bus", drives.bus, "--yes", "-o", place.folder / "out"]
     with pytest.raises(SystemExit) as left:
         main([str(word) for word in words])
     assert left.value.code == code
@@ -207,8 +207,8 @@ def test_while_a_question_is_open_no_other_command_uses_the_bus(place, serve, mo
         (("move", "--to", "home"), [HEARTBEAT]),
         (("record", "--load", "none", "-o", "run.h5"), [HEARTBEAT, "Is the flange empty?"]),
         (("record", "--load", "tool", "-o", "run.h5"), [HEARTBEAT]),
-        (("commission", "--out", "out"), [HEARTBEAT, "Is the flange empty?"]),
-        (("calibrate", "--known", "load=6.0", "--out", "out"), [HEARTBEAT, "Is the flange empty?"]),
+        (("commission", "-o", "out"), [HEARTBEAT, "Is the flange empty?"]),
+        (("calibrate", "--known", "load=6.0", "-o", "out"), [HEARTBEAT, "Is the flange empty?"]),
         (("check", "--move"), [HEARTBEAT]),
     ],
 )

@@ -1,4 +1,4 @@
-"""record --moving against simulated drives: bare and loaded, to what a comparison of a fed path takes from it."""
+"""Excitations of a plan, recorded bare and loaded, up to what a comparison of a fed path takes from the result."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def untyped(place, monkeypatch):
 def plan(untyped, gateway):
     """A short series of all joints, and sweeps as they are planned, fewer and shorter."""
     path = untyped.folder / "plan.json"
-    planned = gateway("plan", untyped.cell, "--moving", "--for", "friction", "--json", path)
+    planned = gateway("plan", untyped.cell, "--moving", "--for", "friction", "-o", path)
     assert planned.exit_code == 0, planned.output
     moving_plan = read_moving_plan(path)
     loaded = load_cell(untyped.cell)
@@ -79,18 +79,18 @@ def plan(untyped, gateway):
 def test_what_motion_determines_is_what_is_there(untyped, plan, serve, gateway):
     """Recorded, gone on with, estimated, diagnosed, drawn, and used: every number within its own deviations.
 
-    The load goes on with the file's own plan, and the unloaded arm with one that has more in it.
+    The unloaded arm goes on with a plan that has more in it.
     """
     drives = serve()
 
     def drive(label, *more):
         to_file = ["--load", label, "-o", untyped.run, "--bus", drives.bus]
-        return gateway("record", untyped.cell, "--moving", *to_file, "--rate", 100, "--yes", *more)
+        return gateway("record", untyped.cell, *to_file, "--yes", *more)
 
     bare = drive("none", "--plan", plan["series"])
     assert bare.exit_code == 0, bare.output
     drives.mount("load")
-    loaded = drive("load", "--resume", "--json", untyped.folder / "summary.json")
+    loaded = drive("load", "--resume", "--plan", plan["series"], "--json", untyped.folder / "summary.json")
     assert loaded.exit_code == 0, loaded.output
     assert drives.stand_still()
     drives.mount("none")
@@ -163,7 +163,7 @@ def _check_page(place, gateway, result):
 def _check_use(place, gateway, drives, result):
     """What is fed comes from the file, and the arm follows better with it."""
     out = place.folder / "follow.json"
-    files = ["--path", place.folder / "path.toml", "--load", result, "--identified", result, "--json", out]
+    files = ["--path", place.folder / "path.toml", result, "--identified", result, "--json", out]
     done = gateway("follow", place.cell, *files, "--bus", drives.bus, "--yes")
     assert done.exit_code == 0, done.output
     followed = follow_from_json(out.read_text(), "follow.json")

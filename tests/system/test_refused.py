@@ -45,14 +45,7 @@ FAR_OUTSIDE = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("words", "more"),
-    [
-        (["move"], ["--to", "home"]),
-        (["record"], ["--load", "none", "-o", "run.h5"]),
-        (["drive", "test"], ["-o", "timing"]),
-    ],
-)
+@pytest.mark.parametrize("words", [["move", "--to", "home"], ["record", "--load", "none", "-o", "run.h5"]])
 @pytest.mark.parametrize(
     ("fault", "changes", "code", "says"),
     [
@@ -61,11 +54,11 @@ FAR_OUTSIDE = (
     ],
 )
 def test_an_arm_that_cannot_be_moved_is_refused_before_the_question(
-    place, gateway, serve, monkeypatch, words, more, fault, changes, code, says
+    place, gateway, serve, monkeypatch, words, fault, changes, code, says
 ):
     monkeypatch.chdir(place.folder)
     drives, cell = serve(fault=fault), place.variant("changed", *changes)
-    done = gateway(*words, cell, "--bus", drives.bus, *more, input="y\n")
+    done = gateway(*words, cell, "--bus", drives.bus, input="y\n")
     assert "area clear" not in done.output
     complains(done, code, says)
     assert drives.handle.simulation.servers[0].sync_count == 0

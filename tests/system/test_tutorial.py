@@ -109,7 +109,7 @@ def test_your_own_robot_as_typed(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_arrival_to_signature_as_typed(tmp_path, monkeypatch):
     typed = typed_page("tutorial/arrival-to-signature.md", "43114", tmp_path, monkeypatch, ("small",))
-    assert typed[:4] == ["check", "drive", "record", "record"]
+    assert typed[:4] == ["check", "check", "record", "record"]
     assert typed[-4:] == ["accept", "report", "export", "replay"]
     out = tmp_path / "out" / "arrival"
     (load,) = json.loads((out / "result.json").read_text(encoding="utf-8"))["loads"]

@@ -45,7 +45,7 @@ def test_a_load_is_measured_until_it_is_known(place, gateway, serve, fast_arm):
 
 def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway):
     for load, more, code, says in (
-        ("load", ("--until", "mass=1%", "--pose", "0,0,0,0,0,0"), 2, "omit --pose and --next"),
+        ("load", ("--until", "mass=1%", "--poses", "0,0,0,0,0,0"), 2, "give one of them"),
         ("load", ("--bare", "r.json"), 2, "give --until as well"),
         ("load", ("--until", "mass=1%", "--bare", place.folder / "none.json"), 3, "none.json"),
     ):

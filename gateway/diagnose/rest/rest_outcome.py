@@ -270,7 +270,7 @@ def corrected_links(decision: Decision) -> list[Finding]:
     weak = [term for term in decision.after.terms if term not in decision.proven]
     text = "the CAD's inertials deviate by more than their stated uncertainty; the fit corrects them"
     return (
-        [Finding("info", "links", text, "state a larger uncertainty (--inertials prior:S), or weigh the links")]
+        [Finding("info", "links", text, "state a larger uncertainty (--inertials S), or weigh the links")]
         if weak
         else []
     )

@@ -246,7 +246,7 @@ class Strip extends Plot {
 
 class Dots extends Plot {
   constructor(place, title, unit, colours) {
-    super(place, title, `[${unit}] over poses as measured`, colours);
+    super(place, title, `[${unit}] over poses`, colours);
   }
 
   // series: values of every pose, null where there is none

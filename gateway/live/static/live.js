@@ -99,7 +99,7 @@ class Arm {
       const last = (kind) => this.values[kind][joint][this.time.length - 1];
       const put = (cell, value, digits, limit, radians) => {
         const degrees = radians == null || value == null ? "" : ` (${(radians * value * 180 / Math.PI).toFixed(2)})`;
-        cell.textContent = value == null ? "-" : value.toFixed(digits) + degrees;
+        cell.textContent = value == null ? "-" : (Number(value.toFixed(digits)) || 0).toFixed(digits) + degrees;
         cell.classList.toggle("over", value != null && limit != null && Math.abs(value) > limit);
       };
       put(cells[1], last(0), 4, null, 1);

@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.clock]
 PERIOD_S = 0.02
 RECORD, MOVING = (
     [replace(command, window_s=2.0) for command in COMMANDS if command.name == name]
-    for name in ("record", "record --moving")
+    for name in ("record", "record --plan")
 )
 
 

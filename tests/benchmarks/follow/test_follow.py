@@ -89,7 +89,7 @@ def test_a_load_20_percent_off_shows_as_a_trend_and_fails(place, drives, right, 
 
 
 def test_it_asks_before_it_moves(place, drives, right):
-    words = ["follow", place.cell, "--path", place.path, "--load", place.result, "--bus", drives.bus]
+    words = ["follow", place.cell, "--path", place.path, place.result, "--bus", drives.bus]
     done = CliRunner().invoke(main, [str(word) for word in words], input="n\n")
     assert done.exit_code == 130, done.output
     assert "will move. Is the area clear of people?" in done.output

@@ -9,18 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 from benchmarks.pair.bus_gap import GapRig, gap_rig
 from drives.errors import ConfigurationRefused
-from gateway.cli import main
 from gateway.motion.stops import StopKind
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairStopped
 from sim.states import PdsState
 from tests.benchmarks.pair.test_stops import kinds_of
+from tests.gateway.pair.test_pair_commands import EXAMPLE, call, edit
 
-EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair"
 FAST = 3.0
 
 
@@ -29,16 +27,6 @@ def cell(tmp_path: Path) -> Path:
     folder = tmp_path / "pair"
     shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("*.pair"))
     return folder / "distance.toml"
-
-
-def call(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words], catch_exceptions=False)
-
-
-def edit(cell: Path, old: str, new: str) -> None:
-    text = cell.read_text(encoding="utf-8")
-    assert old in text
-    cell.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
 # ------------------------------------------------------------------------------------------------------ on both buses
@@ -147,7 +135,7 @@ def test_sensors_that_fail_stop_both_arms_along_the_path_and_a_gap_outside_its_r
 )
 def test_a_cell_whose_sensors_cannot_be_used_is_refused(cell: Path, old: str, new: str, said: str) -> None:
     edit(cell, old, new)
-    result = call("run-pair", cell, "--embodiment", "E5", "--yes")
+    result = call("pair", "run", cell, "--variant", "E5", "--yes")
     assert result.exit_code == 3
     assert said in result.output
     assert len(result.output.strip().splitlines()) == 1
@@ -157,7 +145,7 @@ def test_fewer_sensors_than_components_are_refused_and_fewer_components_are_not(
     text = cell.read_text(encoding="utf-8")
     start, end = text.index("[[pair.distance.channel]]\nsubindex = 4"), text.index("[[arm]]")
     cell.write_text(text[:start] + text[end:], encoding="utf-8")
-    result = call("run-pair", cell, "--embodiment", "E5", "--yes")
+    result = call("pair", "run", cell, "--variant", "E5", "--yes")
     assert result.exit_code == 3
     assert "3 sensors do not determine component" in result.output
     edit(cell, '["x", "y", "z", "rx", "ry", "rz"]', '["z", "rx", "ry"]')
@@ -179,15 +167,15 @@ def test_more_channels_than_four_frames_carry_are_refused(cell: Path) -> None:
 
 
 def test_rows_and_cells_that_do_not_fit_are_refused(cell: Path) -> None:
-    result = call("run-pair", cell.with_name("cell.toml"), "--embodiment", "E5", "--yes")
+    result = call("pair", "run", cell.with_name("cell.toml"), "--variant", "E5", "--yes")
     assert result.exit_code == 3
     assert "[pair.distance]" in result.output
-    result = call("run-pair", cell, "--embodiment", "C8", "--yes")
+    result = call("pair", "run", cell, "--variant", "C8", "--yes")
     assert result.exit_code == 3
     assert "choose E5" in result.output
-    result = call("teach", cell, "--yes")
+    result = call("pair", "teach", cell, "--yes")
     assert result.exit_code == 3
-    assert "run-pair --embodiment E5" in result.output
+    assert "pair run --variant E5" in result.output
 
 
 def test_the_report_shows_the_gap_in_millimetres(cell: Path) -> None:
@@ -198,7 +186,7 @@ def test_the_report_shows_the_gap_in_millimetres(cell: Path) -> None:
     run |= {"first_m": [0.1e-3, -0.3e-3], "last_m": [0.075e-3, None], "cycles": cycles}
     (folder / "run-E5.json").write_text(json.dumps(run), encoding="utf-8")
     output = cell.parent / "report.html"
-    assert call("pair-report", cell, "-o", output).exit_code == 0
+    assert call("pair", "report", cell, "-o", output).exit_code == 0
     page = output.read_text(encoding="utf-8")
     for said in ("gap error [mm]", "first cycle [mm]", ">0.300</td>", ">0.075</td>", "<svg"):
         assert said in page

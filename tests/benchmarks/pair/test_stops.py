@@ -26,6 +26,9 @@ from drives.errors import CommandRefused
 from drives.files import read_sealed, write_sealed
 from gateway.cli import main
 from gateway.data.blackbox.box import read_box
+from gateway.jobs.cell_context import locked_cell
+from gateway.jobs.frame import Operator, stoppable
+from gateway.jobs.pair import run_pair
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
 from gateway.pair.controller import EMBODIMENTS, with_gains
 from gateway.pair.pair_cell import load_pair
@@ -260,9 +263,14 @@ def test_two_arms_are_asked_for_and_their_first_motion_is_slow(example: Path, mo
             return max(axis.fastest_rad_s for axis in simulation.arms[0].world.motors.axes)
 
     fastest("check", str(example), "--prove-stop", "--yes")
-    run = ("run-pair", str(example), "--embodiment", "A")
+    run = ("pair", "run", str(example), "--variant", "A")
     assert fastest(*run, answer="n\n", code=130) < 1e-3
-    first, later = fastest(*run, "--yes"), fastest(*run, "--yes")
+    first, asked = fastest(*run, "--yes"), list[str]()
+    operator = Operator(ask=lambda what, _meanwhile: asked.append(what))
+    with serving(example, buses) as simulation, locked_cell(example, buses) as context, stoppable() as options:
+        result = run_pair(context, "A", operator, options)
+    assert (len(result.cycles), len(asked)) == (1, 1)
+    later = max(axis.fastest_rad_s for axis in simulation.arms[0].world.motors.axes)
     assert first == pytest.approx(0.1 * later, rel=0.3)
 
 
@@ -278,7 +286,7 @@ def test_ctrl_c_by_the_clock_stops_both_along_the_path(example: Path) -> None:
         prove([*gateway, "check", str(example), "--prove-stop", "--yes", "--bus", buses], settings)
     for path in example.parent.glob("state/servo-gateway/*-stop.json"):  # as if they had moved: not at a tenth
         write_sealed(path, read_sealed(path) | {"moved": True})
-    words = [*gateway, "run-pair", str(example), "--embodiment", "A", "--yes", "--bus", buses]
+    words = [*gateway, "pair", "run", str(example), "--variant", "A", "--yes", "--bus", buses]
     before: set[Path] = set()
     for left in reversed(range(TRIES)):
         before = boxes_of(example)

@@ -57,7 +57,7 @@ def holding(config, *poses):
 
 
 def test_one_pose_alone_is_visited_from_both_sides(small_cell, config):
-    plan = plan_asked(small_cell, config, (FIRST,), None)
+    plan = plan_asked(small_cell, config, {FIRST: "fit"}, None)
     assert sorted(plan.visits) == [(1, -1), (1, 1)]
     assert plan.poses == (RestPose(1, FIRST, "fit"),)
     assert plan.expectation is None
@@ -65,7 +65,7 @@ def test_one_pose_alone_is_visited_from_both_sides(small_cell, config):
 
 def test_a_posture_of_the_file_keeps_its_number_and_a_new_one_gets_the_next(small_cell, config):
     there = holding(config, RestPose(3, THIRD, "validation"), RestPose(7, FIRST, "fit"))
-    plan = plan_asked(small_cell, config, (SECOND, FIRST, THIRD), there)
+    plan = plan_asked(small_cell, config, dict.fromkeys((SECOND, FIRST, THIRD), "fit"), there)
     assert {(pose.number, pose.q_rad) for pose in plan.poses} == {(8, SECOND), (7, FIRST), (3, THIRD)}
     assert next(pose for pose in plan.poses if pose.number == 3).purpose == "validation"
 
@@ -74,7 +74,7 @@ def test_what_a_result_asks_for_gets_numbers_beyond_its_own_whatever_is_mounted(
     postures, taken = asked_by(result(), small_cell, config)
     assert (postures, taken) == ((FIRST, SECOND), (2, 4, 9))
     for _load in ("none", "tool"):
-        plan = plan_asked(small_cell, config, postures, None, taken)
+        plan = plan_asked(small_cell, config, dict.fromkeys(postures, "fit"), None, taken)
         assert [pose.number for pose in plan.poses] == [10, 11]
 
 
@@ -97,7 +97,7 @@ def test_a_result_that_cannot_be_measured_here_is_refused(small_cell, config, re
 def test_a_pose_outside_the_limits_is_refused_with_its_reason(small_cell, config):
     outside = (0.0, 0.0, 0.0, 0.0, 2.5, 0.0)
     with pytest.raises(PlanRefused, match=r"pose 1: joint 5 outside .*, at \[0\.000"):
-        plan_asked(small_cell, config, (outside,), None)
+        plan_asked(small_cell, config, {outside: "fit"}, None)
 
 
 def test_what_may_be_asked_for_is_inside_the_limits_and_outside_the_boxes(small_cell, config):

@@ -49,7 +49,7 @@ def accept(identified, tmp_path):
         if result is not None:
             load = tmp_path / "changed.json"
             load.write_text(to_json(result), encoding="utf-8")
-        words = ["accept", identified / "cell.toml", "--load", load, "--from", tmp_path / "unseen.csv"]
+        words = ["accept", identified / "cell.toml", load, "--from", tmp_path / "unseen.csv"]
         words += [*more, *(() if tolerance is None else ("--tolerance", tolerance))]
         return CliRunner(env={"COLUMNS": "200"}).invoke(main, [str(word) for word in words])
 
@@ -57,14 +57,14 @@ def accept(identified, tmp_path):
 
 
 def test_a_right_load_passes_with_map_page_and_junit(accept, tmp_path):
-    done = accept("--json", tmp_path / "a.json", "--report", tmp_path / "a.html", "--junit", tmp_path / "a.xml")
+    done = accept("--json", tmp_path / "a.json", "-o", tmp_path, "--junit", tmp_path / "a.xml")
     assert done.exit_code == 0, done.output
     answer = json.loads((tmp_path / "a.json").read_text())
     assert answer["outcome"] == "pass"
     assert answer["probability_of_wrong_decision"] <= 0.02
     assert len(answer["poses"]) == len(UNSEEN)
     assert np.abs([pose["residual_nm"] for pose in answer["poses"]]).max() < max(answer["tolerance_nm"])
-    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    page = (tmp_path / "accept.html").read_text(encoding="utf-8")
     assert "Pass: the torque error is within the tolerance over the whole workspace" in page
     assert page.count('class="map-within"') > 500
     assert page.count('class="map-measured"') == len(UNSEEN)
@@ -139,13 +139,13 @@ def test_what_cannot_be_predicted_is_refused_before_anything_moves(accept, ident
         ({"effects": (EffectResult("thermal_drift", (2,), {"per_s": 1e-4}),)}, 6, "thermal_drift"),
         ({"effects": (CABLE,), "verdict": "undecided"}, 6, "does not decide"),
         ({"loads": (LoadResult("tool", refused="contradicts itself"),)}, 6, "contradicts itself"),
-        ({"loads": ()}, 3, "--label"),
+        ({"loads": ()}, 3, "--load"),
         ({"noise_floor_nm": (float("nan"),) * 6}, 6, "noise floor"),
     ):
         done = accept(result=changed_result(identified, **changes))
         assert done.exit_code == code, done.output
         assert says in done.output
-    assert accept("--label", "other").exit_code == 3
+    assert accept("--load", "other").exit_code == 3
     beyond = accept(result=heavier(read_result(identified / "result.json"), 1000.0))
     assert beyond.exit_code == 3, beyond.output
 
@@ -189,7 +189,7 @@ def test_a_load_diagnosed_beside_a_cable_passes(tmp_path):
     )
     assert done.exit_code == 0, done.output
     assert [effect.name for effect in read_result(result).effects] == ["cable_torque"]
-    words = ["accept", str(cell), "--load", str(result), "--from", str(tmp_path / "unseen.csv")]
+    words = ["accept", str(cell), str(result), "--from", str(tmp_path / "unseen.csv")]
     done = CliRunner().invoke(main, [*words, "--tolerance", TOLERANCE, "--json", str(tmp_path / "a.json")])
     assert done.exit_code == 0, done.output
     worst = np.abs([pose["residual_nm"] for pose in json.loads((tmp_path / "a.json").read_text())["poses"]]).max(axis=0)

@@ -34,11 +34,12 @@ def run(words):
     return CliRunner().invoke(main, f"{words} --bus virtual:empty".split(), input="")
 
 
-@pytest.mark.parametrize("more", ["", "--moving", "--until mass=1%", "--pose 1", None])
+@pytest.mark.parametrize("more", ["", "--plan plan.json", "--until mass=1%", "--poses 1", None])
 def test_a_recording_of_another_cell_is_refused_before_anything_moves(place, more):
     recording(place, "run.h5")
+    (place / "plan.json").write_text('{"kind": "moving_plan"}')
     (place / "cell.toml").write_text((place / "cell.toml").read_text() + "# edited\n")
-    command = "commission cell.toml --out ." if more is None else f"record cell.toml --load none -o run.h5 {more}"
+    command = "commission cell.toml -o ." if more is None else f"record cell.toml --load none -o run.h5 {more}"
     done = run(f"{command} --resume --yes")
     assert done.exit_code == 3, done.output
     assert "run.h5 was recorded with another cell file" in done.stderr
@@ -50,10 +51,10 @@ def test_a_recording_of_another_cell_is_refused_before_anything_moves(place, mor
         (3, "record cell.toml --load none -o /proc/run.h5", "-o"),
         (3, "record cell.toml --load none -o new/run.h5 --trace cell.toml/frames.log", "--trace"),
         (3, "record cell.toml --load none -o new/run.h5 --json cell.toml/r.json", "--json"),
-        (2, "record cell.toml --load none -o new/run.h5 --pose 0.1", "--pose"),
+        (2, "record cell.toml --load none -o new/run.h5 --poses 0.1", "--poses"),
         (5, "move cell.toml --to 9,9,9,9,9,9", "joint 1"),
-        (5, "calibrate cell.toml --known load=12 --out new", "--known"),
-        (3, "accept cell.toml --load cell.toml --out new", "cell.toml"),
+        (5, "calibrate cell.toml --known load=12 -o new", "--known"),
+        (3, "accept cell.toml cell.toml -o new", "cell.toml"),
     ],
 )
 def test_a_refusal_opens_no_bus_leaves_no_file_and_shows_no_page(place, code, command, says):

@@ -68,6 +68,7 @@ def test_the_constants_are_found_and_stored_beside_the_cell(place, known):
     before = (place.folder / "cell.toml").read_bytes()
     done = calibrated(place, "--hold-to-run", known=known)
     assert done.exit_code == 0, done.output
+    assert "count as exact" in done.stderr
     axes = {axis["joint"]: axis for axis in json.loads(done.stdout)["axes"]}
     for joint in (2, 3):
         assert axes[joint]["is_known"]

@@ -29,7 +29,7 @@ def plan_moving(*words: str) -> Result:
 
 def test_a_plan_is_printed_written_and_drawn(tmp_path: Path) -> None:
     file, page = tmp_path / "plan.json", tmp_path / "plan.html"
-    result = plan_moving("--moving", "--periods", "2", "--json", str(file), "--view", str(page))
+    result = plan_moving("--moving", "--periods", "2", "-o", str(file), "--view", str(page))
     assert result.exit_code == 0, result.output
     for words in ("20 s of motion", "use of the limits", "best of 100 random", "Ixx", "kept apart"):
         assert words in result.output
@@ -43,7 +43,7 @@ def test_a_plan_is_printed_written_and_drawn(tmp_path: Path) -> None:
 
 def test_friction_is_asked_for_by_sweeps(tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
-    result = plan_moving("--moving", "--for", "friction", "--json", str(file))
+    result = plan_moving("--moving", "--for", "friction", "-o", str(file))
     assert result.exit_code == 0, result.output
     assert "friction J6" in result.output
     assert "dry friction [Nm]" in result.output

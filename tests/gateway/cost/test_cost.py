@@ -49,7 +49,7 @@ def slow_down(folder: Path) -> None:
 
 
 def run(folder: Path, *more: str):
-    words = ["cost", str(folder / "cell.toml"), "--load", str(folder / "result.json"), *more]
+    words = ["cost", str(folder / "cell.toml"), str(folder / "result.json"), *more]
     return CliRunner(env={"COLUMNS": "200"}).invoke(main, words)
 
 

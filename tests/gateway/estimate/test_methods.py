@@ -153,6 +153,7 @@ def test_coefficient_with_a_known_first_load_and_a_repeated_visit(table_of):
     ("how", "known", "error", "says"),
     [
         (None, {}, InputError, "--lever"),
+        (Coefficient(2, "x_k", gear_efficiency=0.5), {}, InputError, "--gear-ratio"),
         (Coefficient(2, "x_other", 100, 0.5), {}, InputError, "x_other"),
         (Coefficient(3, "x_k", 100, 0.5), {}, DataUnusable, "J3"),
         (Coefficient(2, "x_k", 100, 0.5), {"x": (1.0, 0.0, 0.0, 0.0)}, InputError, "--known x"),

@@ -160,7 +160,7 @@ def test_what_differs_by_more_than_twice_is_used_and_said(cell, qh165):
         (identified_axes(AXIS_2, data=Drawn(cell="large", arm="left")), "arm 'left', not on 'main'"),
         (identified_axes(AXIS_2, data=Drawn(cell="small", arm="main")), "cell 'small', not on 'large'"),
         (identified_axes(AXIS_2, data=None), "names no cell and arm"),
-        (identified_axes(), "record CELL --moving"),
+        (identified_axes(), "record CELL --plan"),
         (identified_axes(AXIS_2, AXIS_2), "joint 2 is given twice"),
         (identified_axes(AXIS_2, replace(AXIS_2, joint=7)), "joint 7"),
     ],

@@ -50,7 +50,7 @@ def test_a_cube_has_the_inertia_of_a_cube():
         (result(replace(LOAD, mass_kg=float("nan"))), None, DataUnusable, "mass"),
         (result(replace(LOAD, frame="flange")), None, InputError, "frame 'flange'"),
         (result(LOAD), "b", ConfigError, "holds a"),
-        (result(LOAD, replace(LOAD, label="b")), None, ConfigError, "--label"),
+        (result(LOAD, replace(LOAD, label="b")), None, ConfigError, "--load"),
     ],
 )
 def test_what_is_no_identified_load_is_refused(held, label, error, words):

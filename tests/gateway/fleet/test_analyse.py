@@ -154,7 +154,7 @@ def here(monkeypatch: pytest.MonkeyPatch):
     from contextlib import contextmanager
 
     @contextmanager
-    def alone(_scheduler, _count=None, _security=None):
+    def alone(_scheduler):
         yield one_by_one
 
     monkeypatch.setattr(workers_module, "workers", alone)
@@ -165,10 +165,8 @@ def here(monkeypatch: pytest.MonkeyPatch):
     ("words", "code", "said"),
     [
         (["--scheduler", "tcp://h:1"], 0, "unauthenticated, unencrypted pickles"),
-        (["--scheduler", "tls://h:1", "--tls-ca-file", "a", "--tls-cert", "b", "--tls-key", "c"], 0, None),
+        (["--scheduler", "tls://h:1"], 0, None),
         ([], 0, None),
-        (["--scheduler", "tls://h:1", "--tls-ca-file", "a"], 2, "go together"),
-        (["--scheduler", "tcp://h:1", "--tls-ca-file", "a", "--tls-cert", "b", "--tls-key", "c"], 2, "go together"),
     ],
 )
 def test_a_scheduler_without_certificates_is_named_as_such(tmp_path: Path, words, code, said) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -38,18 +39,14 @@ def change(file, old, new, count=1):
 
 
 def run(cell, result, *more):
-    load = []
-    if result is not None:
-        (cell.parent / "r.json").write_text(to_json(result))
-        load = ["--load", str(cell.parent / "r.json")]
-    words = ["follow", str(cell), "--path", str(cell.parent / "path.toml"), *load, *more]
+    (cell.parent / "r.json").write_text(to_json(result))
+    words = ["follow", str(cell), str(cell.parent / "r.json"), "--path", str(cell.parent / "path.toml"), *more]
     return CliRunner().invoke(main, words, input="n\n")
 
 
 @pytest.mark.parametrize(
     ("result", "code", "words"),
     [
-        (None, 6, "no identified load"),
         (replace(RESULT, loads=()), 6, "holds no identified load"),
         (replace(RESULT, loads=(replace(LOAD, refused="rows contradict"),)), 6, "rows contradict"),
         (replace(RESULT, robot="kr300"), 3, "identified on robot 'kr300'"),
@@ -62,10 +59,24 @@ def test_a_load_that_may_not_be_fed_is_refused(cell, result, code, words):
     done = run(cell, result, "--yes")
     said = words in done.output, done.output.count("error:")
     assert (done.exit_code, *said) == (code, True, 1), done.output
-    load = None if result is None else cell.parent / "r.json"
+    load = cell.parent / "r.json"
     with pytest.raises(GatewayError, match=words) as refused, locked_cell(cell) as context, stoppable() as options:
         follow(context, cell.parent / "path.toml", load, Operator(ask=lambda _what, _meanwhile: None), options)
     assert refused.value.exit_code == code
+
+
+def test_a_wrong_path_is_refused_before_the_keyboard_and_the_page_are_opened(cell, monkeypatch, capfd):
+    path, load = cell.parent / "path.toml", cell.parent / "r.json"
+    path.write_text("waypoints_rad = 1\n")
+    load.write_text(to_json(RESULT))
+    for opening in ("tty.setcbreak", "gateway.live.page.LivePage"):
+        monkeypatch.setattr(opening, pytest.fail)
+    keyboard, terminal = os.openpty()
+    with os.fdopen(keyboard), os.fdopen(terminal) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        with pytest.raises(SystemExit) as ended:
+            main(["follow", str(cell), str(load), "--path", str(path), "--hold-to-run", "--live"])
+    assert (ended.value.code, str(path) in capfd.readouterr().err) == (3, True)
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,15 @@ def test_has_inertials_asks_for_every_link(robot):
 
 @pytest.mark.parametrize(
     ("text", "share"),
-    [("exact", 0.0), ("ignore", np.inf), ("prior:0.05", 0.05), ("prior:2", 2.0), ("prior:1e-3", 1e-3)],
+    [
+        ("exact", 0.0),
+        ("ignore", np.inf),
+        ("prior:0.05", 0.05),
+        ("prior:2", 2.0),
+        ("prior:1e-3", 1e-3),
+        ("0.05", 0.05),
+        ("0", 0.0),
+    ],
 )
 def test_trust_in_the_robot_model_is_read_from_a_word(text, share):
     assert parse_inertials(text) == share
@@ -116,10 +124,10 @@ def test_trust_in_the_robot_model_is_read_from_a_word(text, share):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "0.05", "prior", "prior:", "prior:x", "prior:0", "prior:-1", "prior:nan", "prior:inf"]
+    "text", ["", "-0.05", "prior", "prior:", "prior:x", "prior:0", "prior:-1", "prior:nan", "prior:inf"]
 )
 def test_any_other_word_is_refused(text):
-    with pytest.raises(ConfigError, match="use exact, ignore, or prior:S with S > 0"):
+    with pytest.raises(ConfigError, match="use a relative standard deviation such as"):
         parse_inertials(text)
 
 

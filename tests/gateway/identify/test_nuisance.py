@@ -32,12 +32,13 @@ def test_constants_that_say_nothing_are_refused(stated):
 
 def test_options_in_words():
     assert parse_torque_gain("exact") == 0.0
-    assert parse_torque_gain("prior:0.05") == 0.05
+    assert parse_torque_gain("prior:0.05") == parse_torque_gain("0.05") == 0.05
+    assert parse_torque_gain("0") == 0.0
 
 
-@pytest.mark.parametrize("text", ["prior:0", "prior:0.5", "prior:x", "prior:", "0.05", "ignore", "prior:nan"])
+@pytest.mark.parametrize("text", ["prior:0", "prior:0.5", "prior:x", "prior:", "0.5", "ignore", "prior:nan"])
 def test_options_that_mean_nothing_say_what_to_use(text):
-    with pytest.raises(ConfigError, match="use exact, or prior:S"):
+    with pytest.raises(ConfigError, match="such as 0.03, or exact"):
         parse_torque_gain(text)
 
 

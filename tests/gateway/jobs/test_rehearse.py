@@ -121,7 +121,7 @@ def test_an_answer_is_not_replaced_and_an_edited_one_not_continued(
 
 
 def test_another_plan_is_not_continued(tmp_path: Path) -> None:
-    plan, other = {"duration_s": 60.0}, [0.0] * 6
+    plan, other = {"schema": 1, "kind": "rest_plan", "arm": "main", "duration_s": 60.0}, [0.0] * 6
     plan["poses"] = [{"pose": k, "purpose": "fit", "q_rad": [0.1 * k] * 6} for k in range(4)]
     (tmp_path / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
     earlier = {"cell_sha256": "0", "arm": "main", "plan": {"q_rad": [other]}, "runs": []}

@@ -290,12 +290,11 @@ def test_keys_of_a_terminal_come_one_by_one_and_unseen_and_everything_is_put_bac
     with os.fdopen(terminal, "r") as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
         with held_key() as key:
-            local = termios.tcgetattr(terminal)[3]
-            assert not local & termios.ECHO
-            assert not local & termios.ICANON
+            assert termios.tcgetattr(terminal)[3] == before[3], "a job that is refused leaves the terminal as it is"
             typist.hold(1.0, repeats=1)
             key.wait()
             assert key() is None
+            assert not termios.tcgetattr(terminal)[3] & (termios.ECHO | termios.ICANON)
         assert termios.tcgetattr(terminal)[3] == before[3]
     os.close(master)
 

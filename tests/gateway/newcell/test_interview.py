@@ -261,8 +261,10 @@ def test_the_rated_load_is_written_and_is_the_heaviest_unless_stated():
     (arm,) = parse_cell(cell_text(draft, str), "cell.toml").arm
     assert arm.rated_load_kg is not None
     assert (arm.rated_load_kg.value, arm.rated_load_kg.source, arm.max_load_kg) == (5, "plate", 5)
-    draft = asked(Bench(six()), rated_load_kg=5, max_load_kg=3)
-    assert parse_cell(cell_text(draft, str), "cell.toml").arm[0].max_load_kg == 3
+    assert "max_load_com_m" in {entry.key for entry in left_over(draft)}
+    draft = asked(Bench(six()), rated_load_kg=5, max_load_kg=3, max_load_com_m="0, 0, 250 mm")
+    (arm,) = parse_cell(cell_text(draft, str), "cell.toml").arm
+    assert (arm.max_load_kg, arm.max_load_com_m) == (3, (0, 0, 0.25))
     unrated = asked(Bench(six()))
     assert "rated_load_kg" in {entry.key for entry in left_over(unrated)}
     assert parse_cell(cell_text(unrated, str), "cell.toml").arm[0].rated_load_kg is None
@@ -274,6 +276,7 @@ def test_the_rated_load_is_written_and_is_the_heaviest_unless_stated():
         ({"max_load_kg": 10000}, r"max_load_kg: 10000 kg is beyond .*grams\? that is 10 kg"),
         ({"rated_load_kg": 5000}, r"rated_load_kg: 5000 kg is beyond .*grams\? that is 5 kg"),
         ({"rated_load_kg": 3, "max_load_kg": 3000}, r"max_load_kg: 3000 kg .*\(5 x rated_load_kg of 3 kg\)"),
+        ({"rated_load_kg": 3, "max_load_com_m": [0, 0, 250]}, r"max_load_com_m: 250 m is .*write .*0\.25"),
         ({"torque_limit_nm": 500000}, r"torque_limit_nm: 500000 Nm .*mNm\?"),
     ],
 )

@@ -22,7 +22,6 @@ from gateway.pair.pair_run import PairRun
 from gateway.pair.pair_store import PairStore
 from gateway.pair.servo_lag import equalised_targets
 from gateway.pair.session import (
-    PairRunRequest,
     cell_gains,
     embodiment_of,
     first_function,
@@ -66,7 +65,9 @@ def options(**changes) -> PairMotionOptions:
 
 def run(pair, store, name: str, cycles: int = 1, **changes):
     events = []
-    body = run_pair(pair.link, pair.cell, store, PairRunRequest(name, cycles), events.append, options(**changes))
+    body = run_pair(
+        pair.link, pair.cell, store, embodiment_of(pair.cell, name), cycles, events.append, options(**changes)
+    )
     return body, events
 
 
@@ -246,9 +247,9 @@ def test_a_stop_request_ends_a_run(pair, store):
     def events(_cycle):
         desk.ask(StoppedByPerson("enough"))
 
-    request = PairRunRequest("A", 5)
+    row = embodiment_of(pair.cell, "A")
     with pytest.raises(StoppedByPerson, match="enough"):
-        run_pair(pair.link, pair.cell, store, request, events, options(moves=MoveOptions(desk=desk)))
+        run_pair(pair.link, pair.cell, store, row, 5, events, options(moves=MoveOptions(desk=desk)))
     assert len(json.loads((store.folder / "run-A.json").read_text())["cycles"]) == 1
 
 

@@ -11,7 +11,7 @@ import pytest
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairMotionOptions
 from gateway.pair.pair_store import PairStore
-from gateway.pair.session import PairRunRequest, open_taught_path, run_pair, teach_pair
+from gateway.pair.session import embodiment_of, open_taught_path, run_pair, teach_pair
 from gateway.pair.transform import correction_between
 from tests.gateway.pair.together import Together
 
@@ -60,7 +60,7 @@ def test_an_unstated_relation_is_taught_and_driven(pair: Together, tmp_path: Pat
     for s_m in (0.0, float(function.s_m[-1])):
         assert np.linalg.norm(correction_between(function.at(s_m), pair.true)[:3]) < 0.3 * begun
     cycles = []
-    run_pair(pair.link, pair.cell, store, PairRunRequest("C1i", 2), cycles.append, options)
+    run_pair(pair.link, pair.cell, store, embodiment_of(pair.cell, "C1i"), 2, cycles.append, options)
     for cycle in cycles:
         assert cycle.summary.complete
         assert np.linalg.norm(cycle.internal_force.wrench[:, :3], axis=1).max() < 0.5 * pair.cell.config.force_limit_n

@@ -62,7 +62,7 @@ def new_visits(seed, poses=8):
 
 
 def accepted(folder, data):
-    words = ("accept", folder / "cell.toml", "--load", folder / "result.json", "--from", data, "--tolerance", "5%")
+    words = ("accept", folder / "cell.toml", folder / "result.json", "--from", data, "--tolerance", "5%")
     return run(*words, "--json", data.with_suffix(".json"), "--force")
 
 

@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 from gateway.errors import ConfigError, DataUnusable, InputError
@@ -158,12 +159,15 @@ def test_kuka_takes_principal_moments_and_angles_about_z_y_x():
     assert "enter J" not in text
 
 
-def test_ur_and_urdf_and_json_take_all_six_moments():
+def test_ur_and_urdf_and_ros_and_json_take_all_six_moments():
     lines_ = ", ".join(f"{value:.6f}" for value in SIX)
     assert f"[0.01000, -0.02000, 0.08000], [{lines_}])" in export(result(**WITH_INERTIA), "ur")
     inertia = ElementTree.fromstring(export(result(**WITH_INERTIA), "urdf")).find("link/inertial/inertia")
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     assert [float(inertia.get(name)) for name in names] == pytest.approx(SIX, abs=1e-6)
+    message = yaml.safe_load(export(result(**WITH_INERTIA), "ros"))["gripper_2"]
+    assert [message.pop(name) for name in names] == pytest.approx(SIX, abs=1e-6)
+    assert message == {"m": 12.5, "com": {"x": 0.01, "y": -0.02, "z": 0.08}}
     only = json.loads(export(result(**WITH_INERTIA), "json"))["loads"][0]
     assert only["inertia_kg_m2"] == pytest.approx(SIX)
     assert "inertia_note" not in only
@@ -308,6 +312,7 @@ EQUAL_WHEN_PRINTED = {
 NAMED = {
     "abb": r"PERS loaddata (\w+):=",
     "ur": r"def (\w+)\(\):",
+    "ros": r'^"(\w+)":$',
     "urdf": r'<link name="(load_\w+)"',
     "yaskawa": r'id: "(\S+)"',
     "fanuc": r"^ *\d+:  !(?!loads of|kg,|select|inertia|\d)(.*) ;",

@@ -81,7 +81,7 @@ def nothing_typed(place: Place, handle: RunningSimulation, seed: int) -> tuple[P
     plan.write_text(json.dumps(plan_as_plain(make_moving_plan(load_cell(cell), None, request))))
     for label in ("none", LABEL):
         handle.mount(label)
-        words = ["--moving", "--plan", plan, "--load", label, "-o", run, "--resume", "--bus", handle.bus, "--yes", "-q"]
+        words = ["--plan", plan, "--load", label, "-o", run, "--resume", "--bus", handle.bus, "--yes", "-q"]
         changed_cell = command("record", cell, *words)
         assert changed_cell.exit_code == 0, changed_cell.output
     changed_cell = command("estimate", run, "--cell", cell, "--json", result, "--force", "-q")
@@ -128,10 +128,8 @@ def identify(place: Place, handle: RunningSimulation) -> None:
 
 def follow_command(place: Place, handle: RunningSimulation, load: Path, out: Path, *options: object) -> Result:
     """`servo-gateway follow` with JSON and report, of the place's own cell."""
-    files = ["--path", place.path, "--load", load, "--json", out.with_suffix(".json")]
-    return command(
-        "follow", place.cell, *files, "--report", out, "--bus", handle.bus, "--yes", "--force", "-q", *options
-    )
+    files = ["--path", place.path, load, "--json", out.with_suffix(".json")]
+    return command("follow", place.cell, *files, "-o", out, "--bus", handle.bus, "--yes", "--force", "-q", *options)
 
 
 class VelocityAlone(FeedforwardLaw):

@@ -11,8 +11,8 @@ from tests.support.pages.browser import PDF_READER, Browser
 FAULTS = Path(__file__).with_name("faults.js").read_text(encoding="utf-8")
 #: A4 less the margins of the style sheet (12 mm each), at 96 px an inch.
 PAPER_PX = 703
-HEIGHT_PX, WIDE_PX = 900, 1280
-MEDIA = (("1280", WIDE_PX, "screen"), ("390", 390, "screen"), ("paper", PAPER_PX, "print"))
+HEIGHT_PX = 900
+MEDIA = (("1280", 1280, "screen"), ("390", 390, "screen"), ("paper", PAPER_PX, "print"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +43,6 @@ def faults_of(window: Browser, file: Path) -> list[Fault]:
         for number, line in _last_lines(file.with_suffix(".pdf"))
         if line in headings
     ]
-
-
-def show_whole(window: Browser, page: str, file: Path) -> None:
-    """Open a page that has to be without faults, as wide as a screen."""
-    file.write_text(page, encoding="utf-8")
-    assert faults_of(window, file) == []
-    window.as_on("screen")
-    window.resize(WIDE_PX, HEIGHT_PX)
 
 
 def _last_lines(file: Path) -> list[tuple[int, str]]:

@@ -9,14 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from gateway.report.follow_page import render_follow
+from benchmarks.pictures import SHOTS, SOURCES
+from gateway.report.fleet_page import render_robot
 from gateway.report.render import render
 from gateway.report.stop import render_stop
 from gateway.result.acceptance import Expected, Rating, accepted, not_hung
+from gateway.result.fleet import read_robot
 from gateway.result.result import NuisanceResult, Result, SetAside, from_json
-from tests.support.pages.diagnosed import decided, with_formula
 from tests.support.pages.moving import moving_result
-from tests.support.pages.other import comparison, forces, gaps, repetitions
+from tests.support.pages.other import forces, gaps, repetitions
 from tests.support.pages.result import full_result
 from tests.support.pages.stop import stopped
 
@@ -60,18 +61,17 @@ def _not_mounted(found: Result) -> Result:
     return replace(bare, findings=not_hung(bare.loads))
 
 
-#: HTML text of every page by its name; some take a diagnosis.
+#: HTML text of every page by its name.
 PAGES: Final[dict[str, Callable[[], str]]] = {
     "result": lambda: render(_with_effects()),
     "estimate": lambda: render(_estimated(_with_effects())),
     "refused": lambda: render(_refused(_with_effects())),
     "not-mounted": lambda: render(_not_mounted(_with_effects())),
-    "formula": lambda: render(with_formula()),
-    "decided": lambda: render(decided()),
     "moving": lambda: render(moving_result()),
-    "follow": lambda: render_follow(comparison()),
     "pair": forces,
     "gap": gaps,
     "repeatability": repetitions,
     "stop": _stop,
+    "fleet-robot": lambda: render_robot(read_robot(SOURCES / "fleet-robot.json")),
+    **{name: page for name, (page, *_) in SHOTS.items() if name != "live"},
 }

@@ -64,7 +64,7 @@ def test_from_the_first_motion_to_the_load(place, drives):
     counts = [drives.read(node, 0x6064, 0) for node in SIX]
     assert counts == pytest.approx([round(each) for each in AT_TARGET], abs=20)
     bare, loaded = place.folder / "bare.h5", place.folder / "loaded.h5"
-    poses = [word for pose in POSES for word in ("--pose", pose)]
+    poses = [word for pose in POSES for word in ("--poses", pose)]
     place.types("record", place.cell, "--load", "none", "--yes", *poses, output=bare)
     drives.attach(*LOAD)
     place.types("record", place.cell, "--load", "part", "--yes", *poses, output=loaded)
