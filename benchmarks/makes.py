@@ -111,7 +111,8 @@ def commissioned(task: dict[str, Any]) -> dict[str, Any]:
             if key not in names:
                 file = folder / f"mine-{drive.node_id}.answers"
                 file.write_text(key.removeprefix(make), encoding="utf-8")
-                words = ["--eds", sheet, "--answers", file, "-o", file.with_suffix(".toml"), "--force"]
+                file.with_suffix(".toml").unlink(missing_ok=True)
+                words = ["--eds", sheet, "--answers", file, "-o", file.with_suffix(".toml")]
                 words += [word for each in changed.items() for word in ("--answer", "=".join(each))]
                 words += ["--from-drive", drive.node_id, "--bus", bus] if task["reads"] else []
                 if not step("profiles", "new", *words):

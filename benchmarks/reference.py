@@ -53,7 +53,7 @@ from gateway.jobs.commission import commission
 from gateway.jobs.configure import apply_files, compare_with_files, dump, restore
 from gateway.jobs.drive_test import measure_timing
 from gateway.jobs.follow import follow
-from gateway.jobs.measure import move, record, record_moving, record_until_known
+from gateway.jobs.measure import move, record, record_until_known
 from gateway.jobs.pair import learn, run_pair, teach
 from gateway.jobs.replay import replay, store
 from gateway.model.effect import Effect, nowhere
@@ -284,7 +284,7 @@ def _thresholds(of: Any) -> str:
 
 #: Public functions for programs that measure.
 JOBS: Final = (
-    *(check, check_moving, move, record, record_until_known, record_moving, commission, accept, follow, teach),
+    *(check, check_moving, move, record, record_until_known, commission, accept, follow, teach),
     *(run_pair, learn, calibrate, store_calibration, measure_timing, dump, compare_with_files, apply_files, restore),
     *(store, replay),
 )
@@ -297,7 +297,7 @@ BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     "sources of profiles": lambda: _of_profiles(lambda profile: [profile.source]),
     "answers of a profile": _profile_answers,
     "answers of a cell": lambda: table(
-        "| key | answer | how to find out |", ((f"`{each.key}`", each.asks, each.how) for each in ALL)
+        "| key | answer | how to find out |", ((f"`{each.key}`", each.asks, each.ways[0]) for each in ALL)
     ),
     "commands": lambda: commands() + "\n",
     "public names": lambda: table(

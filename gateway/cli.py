@@ -44,13 +44,13 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "live": ("Look", "live", "Show the arms of a cell in a browser; the bus is only read."),
     "profiles": ("Look", "profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
     "cell": ("Prepare", "cell", "Cell files: new, view, schema."),
-    "check": ("Prepare", "bus", "Check the drives against profile and cell file; moves, brakes, timing."),
+    "check": ("Prepare", "bus", "Check the drives: profile, cell file; then moves, brakes, timing."),
     "config": ("Prepare", "config", "Drive parameters as DCF files: dump, diff, apply."),
     "restore": ("Prepare", "bus", "Restore the drive parameters recorded in the write ledger."),
     "calibrate": ("Prepare", "calibrate", "Calibrate torque constants with a weighed load."),
-    "plan": ("Measure", "measure", "Choose rest poses: limits, duration, expected uncertainty."),
+    "plan": ("Measure", "measure", "Choose rest poses or motions: limits, duration, uncertainty."),
     "move": ("Measure", "move", "Move an arm to its home or loading posture, or to joint angles."),
-    "record": ("Measure", "measure", "Measure the rest poses under one load into RUN.h5."),
+    "record": ("Measure", "measure", "Measure rest poses or motions under one load into RUN.h5."),
     "commission": ("Measure", "guided", "Guided commissioning, from the check to the report."),
     "accept": ("Measure", "accept", "Validate an entered load at unseen poses over the workspace."),
     "estimate": ("Analyse", "identification", "Estimate mass and centre of gravity of each load from DATA."),
@@ -59,7 +59,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "rehearse": ("Analyse", "rehearse", "What a plan would find: known effects put into simulated arms."),
     "cost": ("Analyse", "cost", "Cycle time and torque reserve before and after a load is entered."),
     "replay": ("Analyse", "replay", "Recompute a stored measurement and list the differences."),
-    "report": ("Hand over", "report_export", "Write an HTML page from a result."),
+    "report": ("Hand over", "report_export", "Write an HTML page from a result, a rehearsal or a stopped run."),
     "export": ("Hand over", "report_export", "Export a load for a controller, or a recording for other programs."),
     "import": ("Hand over", "report_export", "Convert the log of another program to a measured table."),
     "follow": ("Others", "follow_command", "Following error without, with maximum and with identified load."),
@@ -99,12 +99,15 @@ class LadderGroup(click.Group):
             did = f" Did you mean {' or '.join(near)}?" if near else ""
             raise click.UsageError(f"No such command '{args[0]}'.{did}", ctx) from None
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands without importing them."""
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands by group on one screen without importing them, then the options in one line."""
         del ctx
+        width = max(map(len, COMMANDS))
+        formatter.write_paragraph()
         for group in dict.fromkeys(row[0] for row in COMMANDS.values()):
-            with formatter.section(group):
-                formatter.write_dl([(name, row[2]) for name, row in COMMANDS.items() if row[0] == group])
+            rows = [f"  {name:{width}}  {row[2]}\n" for name, row in COMMANDS.items() if row[0] == group]
+            formatter.write("".join([f"{group}:\n", *rows]))
+        formatter.write("\nOptions: -v, -vv more output; -q errors only; --version; -h, --help\n")
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; handle an interrupt and a closed terminal here instead of in click."""
@@ -253,14 +256,16 @@ def _defect(error: BaseException) -> str:
 @click.group(
     cls=LadderGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-    epilog="SPEC: INTERFACE:CHANNEL[,key=value]..., such as socketcan:can0 or udp_multicast:239.74.163.2,port=43113",
 )
 @click.option("-v", "--verbose", count=True, help="More output; twice for all details.")
 @click.option("-q", "--quiet", is_flag=True, help="Errors only.")
 @click.version_option(__version__, prog_name=PROGRAM)
 @click.pass_context
 def main(ctx: click.Context, verbose: int, quiet: bool) -> None:
-    """CANopen master for six-axis robots: payload mass and centre of gravity, and the cause of the residual."""
+    """CANopen master for six-axis robots: payload mass and centre of gravity, and the cause of the residual.
+
+    New cell: `cell new`, `check`, then `commission`, which leads to the report. COMMAND --help shows examples.
+    """
     from gateway.commands.console import Session
 
     ctx.obj = Session(verbosity=verbose - (1 if quiet else 0))

@@ -12,10 +12,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.cellfile import place_of
 from sim.motor import AMBIENT_C
 from sim.plant import Plant
 from sim.urdf import MOST_AXES, turn_about
@@ -484,9 +486,19 @@ def effect_from_dict(effect: Mapping[str, object], jacobian: PointJacobian | Non
 
 
 def apply_effects(
-    plant: Plant, effects: Sequence[Mapping[str, object]], jacobian: PointJacobian | None = None
+    plant: Plant,
+    effects: Sequence[Mapping[str, object]],
+    jacobian: PointJacobian | None = None,
+    file: Path | None = None,
 ) -> Plant:
-    """Apply effects to a plant in order; drifts last, because they scale the values set by the others."""
-    for effect in sorted(effects, key=lambda effect: effect.get("name") == "thermal_drift"):
-        plant = effect_from_dict(effect, jacobian)(plant)
+    """Apply effects to a plant in order; drifts last, because they scale the values set by the others.
+
+    An error names the line of the effect in `file`, where they were read from one.
+    """
+    order = sorted(enumerate(effects, start=1), key=lambda entry: entry[1].get("name") == "thermal_drift")
+    for number, effect in order:
+        try:
+            plant = effect_from_dict(effect, jacobian)(plant)
+        except EffectError as error:
+            raise EffectError(f"{place_of(file, 'effect', number)}: {error}" if file else str(error)) from error
     return plant

@@ -133,7 +133,7 @@ class Simulation:
             effects = draw_undeclared(arm, plant, self.loads, seed + ARM_SEED * index)
             named = {"arm": arm.name} if len(self.cell.arms) > 1 else {}
             self.effects = [*self.effects, *(effect | named for effect in effects)]
-        plant = apply_effects(plant, effects, point_jacobian(arm.chain))
+        plant = apply_effects(plant, effects, point_jacobian(arm.chain), self._options.undeclared)
         drawn = seed if self._options.noise_seed is None else self._options.noise_seed
         noise = (NOISE_SEED if drawn is None else drawn) + 1000 * index
         return ArmUnit(arm, plant, self.cell.buses[arm.bus].sync_period_s, noise)

@@ -13,6 +13,8 @@ import pytest
 
 from benchmarks.reference import BLOCKS, REFERENCE, kind_in_words, stale
 from gateway.cell.config import AxisConfig, Cell
+from tests.support.rigs.command_line import PROGRAMS, parse_typed
+from tests.system.test_tutorial import blocks
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES_OF_MARKDOWN = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -47,6 +49,16 @@ def test_every_page_is_reached_from_the_readme() -> None:
             if "://" not in link:
                 waiting.append((page.parent / link).resolve())
     assert set(PAGES_OF_MARKDOWN) <= reached, sorted(map(str, set(PAGES_OF_MARKDOWN) - reached))
+
+
+@pytest.mark.parametrize("page", PAGES_OF_MARKDOWN, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_of_a_page_can_be_typed(page: Path) -> None:
+    targets = re.findall(r"[\w-]+", (ROOT / "Makefile").read_text(encoding="utf-8").partition(".PHONY: ")[2])
+    shown = blocks(page.read_text(encoding="utf-8"))
+    lines = [line for block in shown if block.kind in ("", "sh") for line in block.lines]
+    assert [line for line in lines if line.startswith("make ") and line.split()[1] not in targets] == []
+    for line in filter(re.compile("|".join(PROGRAMS)).match, lines):
+        parse_typed(line)
 
 
 def test_readme_is_short() -> None:

@@ -16,7 +16,7 @@ from benchmarks.figure import figure, share
 from benchmarks.fleet.attainable import detected_on
 from benchmarks.fleet.bound import earliest_day, threshold
 from benchmarks.fleet.plant import DAYS, FIRST, Robot, draw, write
-from gateway.fleet.analysis import AsOf, run_analysis
+from gateway.fleet.analysis import run_analysis
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make
 from gateway.fleet.workers import workers
@@ -97,7 +97,7 @@ def drifts(store: Store, plant: Plant) -> dict[str, dict]:
     """Return the day of detection of drifts over the earliest possible, power, and false alarms."""
     started = time.perf_counter()
     with workers(None) as spread:
-        found = run_analysis(store, spread, AsOf(NOW))
+        found = run_analysis(store, spread, NOW)
     took = time.perf_counter() - started
     assert not found.failed, found.failed
     named = {line.cell: line.robot for line in found.robots}

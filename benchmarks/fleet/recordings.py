@@ -22,7 +22,7 @@ from click.testing import CliRunner
 from benchmarks.figure import figure
 from gateway.cli import main
 from gateway.data.recording.seal import SEAL_BYTES, sealed
-from gateway.fleet.analysis import AsOf, run_analysis
+from gateway.fleet.analysis import run_analysis
 from gateway.fleet.checks import estimated_rows
 from gateway.fleet.columns import ESTIMATE
 from gateway.fleet.ingest import ingest
@@ -121,7 +121,7 @@ def scaling(base: Path, folder: Path, count: int) -> dict[str, dict]:
             with workers(None, size) as spread:
                 list(spread(_warm, [str(base)] * (4 * size)))
                 started = time.perf_counter()
-                found = run_analysis(store, spread, AsOf(FIRST))
+                found = run_analysis(store, spread, FIRST)
                 took[size] = time.perf_counter() - started
             assert not found.failed, found.failed
             assert estimated(store) == count

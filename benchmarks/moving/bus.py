@@ -96,7 +96,7 @@ def record_both(place: Place, handle: RunningSimulation, plan: MovingPlan) -> No
 def estimated(place: Place) -> Result:
     """`estimate` of both recordings, by the command line."""
     runs = [str(place.run(label)) for label in ("none", LABEL)]
-    words = ["estimate", *runs, "--cell", str(place.cell), "--json", str(place.folder / "result.json"), "--force", "-q"]
+    words = ["estimate", *runs, "--cell", str(place.cell), "--json", str(place.folder / "result.json"), "-q"]
     return CliRunner().invoke(main, words)
 
 

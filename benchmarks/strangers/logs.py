@@ -282,7 +282,7 @@ def command(*words: object) -> tuple[int, str]:
 def load_inside(folder: Path, table: Path, truth: np.ndarray) -> str:
     """Why the load of a table is not inside its interval; empty where it is."""
     code, said = command("estimate", table, "--robot", folder / "robot.urdf", "--inertials", "prior:0.05",
-                         "--json", folder / "r.json", "--force")  # fmt: skip
+                         "--json", folder / "r.json")  # fmt: skip
     if code:
         return f"estimate: {code} {said}"
     load = next(each for each in json.loads((folder / "r.json").read_text())["loads"] if each["label"] == "tool")

@@ -101,6 +101,6 @@ def _gateway(*arguments: object) -> None:
 
 def _time_s(folder: Path, *arguments: object) -> tuple[float, dict[str, Any]]:
     """Time [s] of a command by the SYNCs that it took, and its summary."""
-    _gateway(*arguments, "--json", folder / "summary.json", "--force")
+    _gateway(*arguments, "--json", folder / "summary.json")
     summary = json.loads((folder / "summary.json").read_text())
     return summary["statistics"]["cycles"] * PERIOD_S, summary

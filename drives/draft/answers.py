@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from drives.errors import ProfileError
 from drives.profile import CyclicMode, Positive, is_assumed
-from drives.validation import Strict, Unfit, fitted, read_strict
+from drives.validation import Strict
 
 Text = Annotated[str, Field(min_length=1)]
 ObjectText = Annotated[str, Field(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9A-Fa-f]{2})?$")]
@@ -77,38 +75,6 @@ class ProfileAnswers(Strict):
     def torque_is_sourced(self) -> bool:
         """Return whether the torque scaling has a stated source."""
         return self.torque_source is not None and not is_assumed(self.torque_source)
-
-
-def read_answers(path: Path) -> ProfileAnswers:
-    """Read an answer file (TOML).
-
-    Raises
-    ------
-    ProfileError
-        It cannot be read, is not TOML, or holds an answer that is none; all of it at once.
-    """
-    try:
-        return read_strict(path.read_text(encoding="utf-8"), ProfileAnswers)
-    except UnicodeDecodeError as error:
-        raise ProfileError(f"answer file {path} cannot be read: {error}", advice="save it as UTF-8") from error
-    except OSError as error:
-        raise ProfileError(f"answer file {path} cannot be read: {error}", advice="check its path") from error
-    except Unfit as error:
-        raise ProfileError.of(error.messages(str(path)), ADVICE) from error
-
-
-def with_answers(answers: ProfileAnswers, more: dict[str, str]) -> ProfileAnswers:
-    """Further answers as they are typed; they replace earlier ones.
-
-    Raises
-    ------
-    ProfileError
-        No such question, or no such answer.
-    """
-    try:
-        return fitted(ProfileAnswers, answers.model_dump(exclude_none=True) | more)
-    except Unfit as error:
-        raise ProfileError.of(error.messages("answer"), ADVICE) from error
 
 
 def address_of(text: str) -> tuple[int, int]:

@@ -64,14 +64,7 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
         found = Destination(HOME, config.home_rad)
     elif to == HOME:
         middle = (workspace.lower_rad + workspace.upper_rad) / 2
-        reason = workspace.why_not(middle)
-        if reason is not None:
-            raise ConfigError(
-                f"arm '{config.name}': home_rad is missing in the cell file, and the middle of the joint ranges, "
-                f"{angles(middle)}, is not an allowed posture: {reason}; write home_rad = [..], one joint angle per"
-                " axis"
-            )
-        what = f"{HOME} (the middle of the joint ranges, as home_rad is not given)"
+        what = f"{HOME} (the middle of the joint ranges, as the cell file has no home_rad = [J1, J2, ..])"
         found = Destination(what, tuple(middle.tolist()))
     elif to == LOADING:
         if config.loading_rad is None:

@@ -25,6 +25,8 @@ SIDES = (-1, 1)
 TRAVEL_SPEED = 0.95
 #: Typical time until a pose has settled [s]; only to estimate the duration.
 TYPICAL_SETTLE_S = 0.4
+#: Sampling period at which the torque along a move is computed, fine enough beside its jerk phases [s].
+TORQUE_STEP_S = 0.02
 #: Largest distance between two joint angles that count as the same.
 SAME_RAD = 1e-9
 
@@ -230,24 +232,28 @@ def _steps(legs: Sequence[Leg], settings: VisitSettings, missing: Mapping[int, t
             yield PoseVisit(pose.number, side, pose.q_rad)
 
 
-def travel_limits(workspace: Workspace) -> MotionLimits:
-    """Return the speed, acceleration and jerk limits of moves between poses."""
-    return MotionLimits(TRAVEL_SPEED * workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
-
-
-def approach_limits(workspace: Workspace, speed_rad_s: float | np.ndarray) -> MotionLimits:
-    """Return the speed, acceleration and jerk limits of the slow last motion to a pose."""
-    speed = np.minimum(speed_rad_s, TRAVEL_SPEED * workspace.speed_rad_s)
+def travel_limits(workspace: Workspace, most_rad_s: float | np.ndarray = np.inf) -> MotionLimits:
+    """Return the speed, acceleration and jerk limits of a move, which may be a slow one such as an approach."""
+    speed = np.minimum(most_rad_s, TRAVEL_SPEED * workspace.speed_rad_s)
     return MotionLimits(speed, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
 
 
-def motion_limits(step: MoveTo | PoseVisit, workspace: Workspace, settings: VisitSettings) -> MotionLimits:
-    """Return the speed, acceleration and jerk limits of the motion of a step."""
+def motion_limits(
+    step: MoveTo | PoseVisit, start_rad: np.ndarray, workspace: Workspace, settings: VisitSettings
+) -> MotionLimits:
+    """Return the speed, acceleration and jerk limits of a step, slowed down in time until the torque limits suffice.
+
+    The torque of speeds and accelerations is proportional to the square of the rate of time; the path stays the same.
+    """
+    most_rad_s: float | np.ndarray = np.inf
     if isinstance(step, PoseVisit):
-        return approach_limits(workspace, settings.approach_speed_rad_s)
-    if step.is_inwards:
-        return approach_limits(workspace, workspace.inward_speed_rad_s())
-    return travel_limits(workspace)
+        most_rad_s = settings.approach_speed_rad_s
+    elif step.is_inwards:
+        most_rad_s = workspace.inward_speed_rad_s()
+    limits = travel_limits(workspace, most_rad_s)
+    motion = straight(start_rad, np.array(step.q_rad), limits, TORQUE_STEP_S)
+    share = workspace.moving_share(motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2)
+    return limits.at_rate(1.0 / np.sqrt(max(share, 1.0)))
 
 
 def step_durations(plan: Plan, workspace: Workspace, override: float = 1.0) -> list[float]:
@@ -262,8 +268,8 @@ def step_durations(plan: Plan, workspace: Workspace, override: float = 1.0) -> l
         if isinstance(step, Pass):
             durations += [REST_S, step.duration_s]
             continue
-        limits = motion_limits(step, workspace, settings)
         start = np.array(step.q_rad if at is None else at)
+        limits = motion_limits(step, start, workspace, settings)
         durations.append(straight(start, np.array(step.q_rad), limits, settings.period_s).duration_s / override)
         at = step.q_rad
         if isinstance(step, PoseVisit):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.recorded import Recording
 from gateway.data.visit import Purpose, RestPose
 from gateway.errors import InputError, PlanRefused
+from gateway.excite.plan_file import PlanFile, PlannedPose
 from gateway.feedforward.load import other_origin
 from gateway.identify.load_estimate import load_directions
 from gateway.identify.nuisance import gain_stds
@@ -32,7 +33,7 @@ from gateway.motion.workspace import Workspace, workspace_of
 from gateway.pipeline.inputs import AnalysisInputs, constants_std, profile_of
 from gateway.preflight.rules import refuse_beyond_counts
 from gateway.result.result import read_result
-from gateway.result.values import check_kind, json_object, plain_values, text_of
+from gateway.result.values import plain_values
 
 #: Further pose choices that are tried if a chosen pose is not reachable.
 CHOICES = 5
@@ -47,8 +48,6 @@ _DRAWS: Final = 25
 _SAME_RAD: Final = 1e-6
 #: Postures that stand for the workspace.
 POSTURES: Final = 600
-#: Kind of a plan file of rest poses.
-REST_PLAN: Final = "rest_plan"
 MOST_POSES: Final = 12
 
 
@@ -239,41 +238,11 @@ def asked_by(
 
 
 def rest_plan_as_plain(chosen: Plan) -> dict[str, Any]:
-    """Return a plan of rest poses as plain values, for a plan file."""
-    return {
-        "schema": 1,
-        "kind": REST_PLAN,
-        "arm": chosen.arm,
-        "duration_s": chosen.duration_s,
-        "poses": [{"pose": pose.number, "purpose": pose.purpose, "q_rad": list(pose.q_rad)} for pose in chosen.poses],
-        "expected": plain_values(chosen.expectation),
-        **({"distinguish": chosen.distinguish} if chosen.distinguish else {}),
-    }
-
-
-def read_rest_plan(path: Path, config: ArmConfig) -> tuple[dict[tuple[float, ...], Purpose], float]:
-    """Return postures [rad] with their purpose, and duration [s], of a plan file of rest poses.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or holds no rest poses of this arm.
-    """
-    data = json_object(text_of(path, "name the file that `plan CELL -o PLAN.json` wrote"), str(path))
-    check_kind(data, 1, REST_PLAN, str(path))
-    try:
-        postures = {tuple(map(float, pose["q_rad"])): pose["purpose"] for pose in data["poses"]}
-        duration_s = float(data["duration_s"])
-    except (KeyError, TypeError, ValueError):
-        postures, duration_s = dict[tuple[float, ...], Purpose](), 0.0
-    right = {len(posture) for posture in postures} == {len(config.axis)}
-    right = right and {*postures.values()} <= {*get_args(Purpose)}
-    if data.get("arm") != config.name or not right or not duration_s > 0 or "fit" not in postures.values():
-        raise InputError(
-            f"{path}: holds no rest poses of the {len(config.axis)} axes of arm '{config.name}'; write it by `plan CELL"
-            " -o PLAN.json`"
-        )
-    return postures, duration_s
+    """Return a plan of rest poses as plain values with its checksum, for a plan file."""
+    poses = tuple(PlannedPose(pose.number, pose.purpose, pose.q_rad) for pose in chosen.poses)
+    expected = None if chosen.expectation is None else plain_values(chosen.expectation)
+    plan = PlanFile(chosen.arm, "rest_plan", poses, chosen.duration_s, (), expected, chosen.distinguish)
+    return plan.as_plain()
 
 
 def plan_asked(

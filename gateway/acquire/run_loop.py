@@ -51,7 +51,7 @@ from gateway.motion.state import Phase
 from gateway.motion.stops import StopKind, StopRequest, guarded
 from gateway.motion.stream import FIRST_SHARE, MoveOptions, Stream
 from gateway.motion.temperature import MotorTemperatures
-from gateway.motion.trajectory import MotionLimits, straight
+from gateway.motion.trajectory import straight
 from gateway.motion.workspace import Workspace
 
 #: Largest number of incomplete SYNCs while sampling, as a share of the requested samples.
@@ -278,13 +278,9 @@ class Run:
             what = "move back into the joint range"
         else:
             what = "move to the start" if self._is_driven else "move"
-        limits = motion_limits(step, self._workspace, self._plan.settings)
-        if self._is_driven:
-            speed = self._options.override
-            limits = MotionLimits(
-                speed * limits.speed_rad_s, speed**2 * limits.acceleration_rad_s2, speed**3 * limits.jerk_rad_s3
-            )
         target, (at,) = np.array(step.q_rad), self.stream.q_rad
+        limits = motion_limits(step, at, self._workspace, self._plan.settings)
+        limits = limits.at_rate(self._options.override if self._is_driven else 1.0)
         self._direction = np.sign(target - at).astype(np.int8)
         self._gone_rad += float(np.abs(target - at).max())
         self.stream.move([straight(at, target, limits, self._period_s)], what)

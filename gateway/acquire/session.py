@@ -35,9 +35,6 @@ from gateway.motion.temperature import motor_temperatures
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.result.origin import software
 
-#: Fields of a summary that the JSON of a recording at rest, and of one in motion, leaves out.
-MOVING_KEYS, REST_KEYS = ("reason", "periods", "missed"), ("reason", "visits", "friction_band_nm")
-
 
 @dataclass(frozen=True, slots=True)
 class RecordingSummary:
@@ -91,7 +88,7 @@ def plan_of_recording(loaded: LoadedCell, recording: Recording, arm: str | None 
     stored = recording.arm(config.name)
     if stored is None or not stored.poses:
         raise InputError(
-            f"{recording.path}: requests no poses of arm '{config.name}'; a run of motions goes on with --plan"
+            f"{recording.path}: requests no poses of arm '{config.name}'; continue a run of motions with --plan"
         )
     workspace = workspace_of(config, arm_robot(loaded, config))
     return plan_of_poses(loaded, config, workspace, stored.poses)
@@ -319,10 +316,7 @@ def record_moving(
         The arm was stopped.
     """
     if plan.arm != opened.config.name:
-        raise InputError(
-            f"the plan is for arm '{plan.arm}', but the connected arm is '{opened.config.name}'; make a plan for this"
-            " arm"
-        )
+        raise InputError(f"this is a plan for arm '{plan.arm}', not for '{opened.config.name}'; plan for this arm")
     check_moving_plan(plan, opened.workspace, opened.config, opened.arm.known)
     options = options or MoveOptions()
     stored = None if earlier is None else earlier.arm(plan.arm)

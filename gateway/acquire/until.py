@@ -20,7 +20,6 @@ from gateway.acquire.plan import (
     TYPICAL_SETTLE_S,
     Plan,
     VisitSettings,
-    approach_limits,
     check_plan,
     plan_from,
     travel_limits,
@@ -45,7 +44,7 @@ from gateway.model.visits import pair_visits
 from gateway.motion.assumed import assumed_noise_nm, reference_load
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
-from gateway.motion.trajectory import straight
+from gateway.motion.trajectory import straight_duration_s
 from gateway.motion.workspace import BAND_SHARE, Workspace
 from gateway.pipeline.inputs import ModelRequest, inputs_from_recordings, read_rows, split_validation
 
@@ -247,9 +246,8 @@ def decide(search: LoadSearch, measured: Table | None, at_rad: Floats) -> NextSt
 
     # time of the straight path to each, both approaches and settling
     offset = np.full(len(at_rad), settings.approach_offset_rad)
-    slow = approach_limits(workspace, settings.approach_speed_rad_s)
-    across = straight(np.zeros(len(offset)), offset, travel_limits(workspace), settings.period_s).duration_s
-    approach = straight(np.zeros(len(offset)), offset, slow, settings.period_s).duration_s
+    across = straight_duration_s(0.0 * offset, offset, travel_limits(workspace))
+    approach = straight_duration_s(0.0 * offset, offset, travel_limits(workspace, settings.approach_speed_rad_s))
     seconds = workspace.travel_time(at_rad[None], q_rad + settings.approach_offset_rad)
     seconds += across + 2.0 * (approach + min(TYPICAL_SETTLE_S, settings.settle_timeout_s))
     distance = np.abs(q_rad[:, None] - np.vstack([taken_rad, search.apart_rad])[None]).max(axis=2, initial=0.0)

@@ -16,7 +16,7 @@ from drives.cia402 import State, decode_state
 from drives.errors import DriveError
 from drives.objects import OBJECTS
 from drives.proof import StopTest, StopTrace
-from gateway.acquire.plan import approach_limits
+from gateway.acquire.plan import travel_limits
 from gateway.data.visit import ArmSample
 from gateway.errors import PlanRefused
 from gateway.motion.arms import Arms
@@ -117,7 +117,7 @@ def slow_motion(
         for signs in _directions(workspace, start_rad):
             target = start_rad + scale * speed * lasts_s * signs
             if workspace.path_clear(start_rad[None], target[None])[0]:
-                return straight(start_rad, target, approach_limits(workspace, scale * speed), period_s)
+                return straight(start_rad, target, travel_limits(workspace, scale * speed), period_s)
     raise PlanRefused(
         f"arm '{arm}' has no free space for {speed * lasts_s:.2f} rad on every joint in its present posture; "
         "move it to a free posture with the drive's own tool, away from limits and obstacles: the stop of its drives"
@@ -282,7 +282,7 @@ def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> 
         raise PlanRefused(f"arm '{opened.arm.name}' does not move back: no straight path back is inside the limits")
     with powered(planned_stream(opened, options)) as stream:
         stream.take_over()
-        limits = approach_limits(workspace, options.override * SPEED_RAD_S)
+        limits = travel_limits(workspace, options.override * SPEED_RAD_S)
         stream.move([straight(stream.q_rad[0], target_rad, limits, opened.group.timing.period_s)], "go back")
 
 

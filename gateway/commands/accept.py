@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
-from click.core import ParameterSource
 
 from drives.files import replace_file
 from gateway.commands.console import axis_names, grid
@@ -20,9 +19,9 @@ from gateway.commands.shared_options import (
     cell_context,
     common,
     json_option,
+    junit_option,
     load_option,
     measurement_options,
-    output_option,
     refuse_unwritable,
     result_argument,
     session_of,
@@ -48,7 +47,7 @@ _PAGE: Final = "accept.html"
     help="Residual torque that the controller tolerates: P% of each torque limit, or one torque an axis [Nm].",
 )
 @measurement_options("of unseen poses under the load", _RECORDING)
-@output_option("--junit", "junit_file", metavar="FILE", help="Write pass or fail as JUnit XML.")
+@junit_option
 @arm_option
 @bus_option
 @json_option
@@ -72,7 +71,7 @@ def accept(
 
     RESULT is a result of this arm, or CELL.loads.json#LABEL: the load as entered, and the unloaded arm. The arm moves,
     unless --from is given. Pass, fail or cannot tell, with the probability that the decision is wrong;
-    exit 7 unless it passes. With --from the page is written only if -o is given.
+    exit 7 unless it passes. FOLDER/accept.html shows the map of the workspace.
 
     \b
     Example:
@@ -97,11 +96,10 @@ def accept(
             arm=arm_name,
             resume=resume,
         )
-    asked = click.get_current_context().get_parameter_source("out") is not ParameterSource.DEFAULT
-    _hand_over(answer, json_out, out / _PAGE if asked or not data else None, junit_file)
+    _hand_over(answer, json_out, out / _PAGE, junit_file)
 
 
-def _hand_over(answer: Mapping[str, Any], json_out: str | None, page: Path | None, junit_file: Path | None) -> None:
+def _hand_over(answer: Mapping[str, Any], json_out: str | None, page: Path, junit_file: Path | None) -> None:
     """Write and show; anything but a pass exits with 7."""
     from gateway.report.acceptance_map import render_acceptance
     from gateway.result.junit import Case, junit_of
@@ -110,9 +108,8 @@ def _hand_over(answer: Mapping[str, Any], json_out: str | None, page: Path | Non
 
     session, now = session_of(), datetime.now(UTC)
     write_json(json_out, answer)
-    if page is not None:
-        replace_file(page, render_acceptance(answer, Origin(in_words(now), software())))
-        session.show(f"report: {page}")
+    replace_file(page, render_acceptance(answer, Origin(in_words(now), software())))
+    session.show(f"report: {page}")
     outcome = answer["outcome"]
     error = answer["likeliest_error"]
     why = f"probability that this is wrong: {answer['probability_of_wrong_decision']:.2g}" + (

@@ -24,7 +24,6 @@ from gateway.commands.shared_options import (
     reserve,
     session_of,
     write_json,
-    writes,
 )
 from gateway.errors import FindingFailed
 
@@ -120,17 +119,15 @@ def _node_json(node: ScanResult) -> dict[str, Any]:
 )
 @click.option("--timing", is_flag=True, help="Measure the timing of each drive: page and one JSON file per drive.")
 @click.option("--axis", "axes", multiple=True, metavar="J2", help="With --timing: this drive only; repeatable.")
-@writes(
-    click.option(
-        "-o",
-        "--output",
-        "folder",
-        type=click.Path(path_type=Path, file_okay=False),
-        default=Path("timing"),
-        show_default=True,
-        metavar="FOLDER",
-        help="With --timing: folder of page and files.",
-    )
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("timing"),
+    show_default=True,
+    metavar="FOLDER",
+    help="With --timing: folder of page and files.",
 )
 @arm_option
 @bus_option
@@ -178,10 +175,10 @@ def check(
     session = session_of()
     arms = context.arms if arm_name is None else (arm_named(context.loaded, arm_name),)
     folders = {arm.name: folder / arm.name if len(arms) > 1 else folder for arm in arms}
-    tested = {arm.name: _numbers(axes, len(arm.axis)) for arm in arms}
-    for name in tested if timing else ():
+    tested = {arm.name: _numbers(axes, len(arm.axis)) for arm in arms} if timing else {}
+    for name in tested:
         for file in [PAGE, *(f"J{axis + 1}.json" for axis in tested[name])]:
-            refuse_to_replace(folders[name] / file, "-o", session)
+            refuse_to_replace(folders[name] / file, "-o")
     items = {arm.name: check_arm(context, arm=arm.name) for arm in arms}
     proofs: list[dict[str, Any]] = []
     moves = move or prove_stop or brakes

@@ -37,6 +37,7 @@ _RECORDING: Final = "calibrate.h5"
 @click.option("--known", required=True, metavar=KNOWN_FORM, help=f"The weighed load. {KNOWN_HELP}")
 @measurement_options("with the unloaded arm and the load", _RECORDING)
 @warm_option
+@click.option("--force", is_flag=True, help="Store the calibration although a finding fails.")
 @arm_option
 @bus_option
 @json_option
@@ -47,6 +48,7 @@ def calibrate(
     known: str,
     data: tuple[Path, ...],
     is_warm: bool,
+    force: bool,
     out: Path,
     resume: bool,
     arm_name: str | None,
@@ -95,7 +97,7 @@ def calibrate(
             resume=resume,
         )
     new = calibration.stored
-    findings = store_calibration(context, calibration, force=session.replaces)
+    findings = store_calibration(context, calibration, force=force)
     is_stored = all(each.severity != "fail" for each in findings)
     axes = [plain_values(axis) for axis in calibration.axes]
     report = {"axes": axes, "findings": [plain_values(each) for each in findings]}

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from drives.files import replace_file
 from gateway.commands.console import findings_table, grid
+from gateway.commands.interview import answer_of_line
 from gateway.commands.measure import arm_option
 from gateway.commands.shared_options import (
     FILE,
+    NEW_FILE,
+    PAGE_FILE,
     cell_argument,
     cell_context,
     common,
     json_option,
     key_values,
     note_remarks,
-    output_option,
-    refuse_to_replace,
+    refuse_unwritable,
     reserve,
     session_of,
     write_json,
@@ -30,9 +31,9 @@ from gateway.commands.shared_options import (
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gateway.newcell.answers import Answer, CellAnswers, OpenQuestion
+    from drives.draft.questions import Question
+    from gateway.newcell.answers import Answer, CellAnswers
     from gateway.newcell.interview import Draft
-    from gateway.newcell.questions import CellQuestion
 
 
 @click.group()
@@ -57,7 +58,9 @@ def cell_schema() -> None:
 @cell.command("view")
 @cell_argument
 @arm_option
-@output_option("-o", "--output", metavar="PAGE.html", help="Page to write; default: beside the cell file.")
+@click.option(
+    "-o", "--output", metavar="PAGE.html", type=PAGE_FILE, help="Page to write; default: beside the cell file."
+)
 @common
 def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
     """Draw the arm at its named postures with the keep-out boxes, and list the assumptions. Needs no bus.
@@ -79,7 +82,7 @@ def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
     note_remarks(robot)
     workspace = workspace_of(config, robot)
     target, session = output or cell.with_suffix(".html"), session_of()
-    refuse_to_replace(target, "-o", session)
+    refuse_unwritable(target, "-o")
     loads = loads_in_words(cell)
     write_page(target, view_of_cell(config, workspace, loads))
     session.show("\n  ".join([f"arm '{config.name}': {target}", *space_in_words(workspace)]))
@@ -101,11 +104,11 @@ def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
 @click.option(
     "--answer", "typed", multiple=True, metavar="KEY=VALUE", help="One answer; takes precedence over the answer file."
 )
-@output_option("--save-answers", metavar="FILE", help="Write the answers of this run to an answer file.")
+@click.option("--save-answers", metavar="FILE", type=NEW_FILE, help="Write the answers of this run to an answer file.")
 @click.option(
     "--listen", "listen_s", type=click.FloatRange(0.05, 60.0), default=1.0, show_default=True, help="Seconds."
 )
-@output_option("-o", "--output", required=True, metavar="CELL", help="Cell file to write.")
+@click.option("-o", "--output", required=True, metavar="CELL", type=NEW_FILE, help="Cell file to write.")
 @json_option
 @common
 def cell_new(
@@ -132,25 +135,20 @@ def cell_new(
     """
     from gateway.model.arm_model import arm_robot
     from gateway.newcell import questions
-    from gateway.newcell.answers import CellAnswers, GivenAnswer, read_answers
+    from gateway.newcell.answers import CellAnswers, GivenAnswer, given_answers
     from gateway.newcell.cell_text import left_over
-    from gateway.newcell.forms import typed_answer
     from gateway.newcell.interview import interview
     from gateway.newcell.nodes import BusEyes
     from gateway.preflight.drive_check import require_passed
     from gateway.result.values import plain_values
 
     session, kept = session_of(), output.with_suffix(".answers.toml")
-    answered = {} if answers is None else read_answers(answers)
-    resumed = read_answers(kept) if answers is None and kept.is_file() else {}
+    resumed = given_answers(kept, {}, questions.KEYS) if answers is None and kept.is_file() else {}
     if resumed:
         session.note(f"{kept}: {len(resumed)} answers of an earlier run are reused; delete the file to answer again")
     named = {"robot": robot, "tip": tip, "bus": bus, "offline": offline or None, "eds": list(eds) or None}
-    here = Path.cwd()
-    found = {key: GivenAnswer(value, f"--{key}", here) for key, value in named.items() if value is not None}
-    for key, text in key_values("--answer", typed, questions.KEYS).items():
-        found[key] = GivenAnswer(typed_answer(text), f"--answer {key}", here)
-    answered |= found
+    answered = {key: GivenAnswer(value, f"--{key}", Path.cwd()) for key, value in named.items() if value is not None}
+    answered = given_answers(answers, key_values("--answer", typed), questions.KEYS) | answered
     said = CellAnswers(answered, str(answers or "answers"), None if answers is not None else _ask, resumed)
     try:
         draft = interview(said, BusEyes(listen_s, reserve), output.stem, session.note)
@@ -195,35 +193,17 @@ def cell_new(
     require_passed(items, f"{output} is written, but the drives fail the check")
 
 
-def _ask(asked: OpenQuestion) -> Answer | None:
+def _ask(
+    question: Question, offer: Answer | None, number: int, most: int, read: Callable[[Any], Answer]
+) -> Answer | None:
     """Ask at the terminal until the answer is valid; Enter accepts the proposed value."""
     from gateway.newcell.cell_text import short
-    from gateway.newcell.forms import typed_answer
 
-    question, offer = asked.question, asked.offer
-    most = f"question {asked.number} of {asked.most}" + (" at most" if asked.most > asked.number else "")
-    click.echo(f"\n{most}: {question.asks}\n  {question.how}", err=True)
+    place = f"question {number} of {most}" + (" at most" if most > number else "")
+    click.echo(f"\n{place}: {question.asks}\n  {question.ways[0]}", err=True)
     if offer is not None:
         click.echo(f"  Enter: {short(offer.value)} ({offer.source})", err=True)
-    while True:
-        line = _typed_line(question, "" if offer is not None else None)
-        if not line.strip() and offer is not None:
-            return None
-        try:
-            return asked.read(typed_answer(line))
-        except ValueError as error:
-            click.echo(f"  {error}", err=True)
-
-
-def _typed_line(question: CellQuestion, default: str | None) -> str:
-    """Read a line from the terminal; without one, raise an error that names the other ways of answering."""
-    try:
-        return click.prompt(f"  {question.key}", default=default, show_default=False, err=True)
-    except click.Abort as error:
-        if sys.stdin.isatty():
-            raise
-        advice = f"write it into an answer file (--answers FILE), or --answer {question.key}=VALUE"
-        raise ConfigError(f"{question.key}: no answer was given; {advice}") from error
+    return answer_of_line(question.key, read, optional=offer is not None)
 
 
 def _named_from(folder: Path) -> Callable[[str], str]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.console import grid
-from gateway.commands.shared_options import FILE, common, json_option, output_option, session_of, write_json
+from gateway.commands.shared_options import FILE, common, json_option, page_option, session_of, write_json
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def _tolerance(_ctx: click.Context, _param: click.Parameter, value: str | None) 
     callback=_tolerance,
     help="Allowed change of mass, com, constant and friction; without it every significant change counts.",
 )
-@output_option("-o", "--output", metavar="REPORT.html", help="Page to write; .pdf is printed by an installed browser.")
+@page_option()
 @json_option
 @common
 def compare(

@@ -16,7 +16,7 @@ SHELLS = ("bash", "zsh", "fish")
 @common
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:
-    """Print the shell script that completes commands and options; to install it see docs/how-to/completion.md.
+    """Print the shell script that completes commands and options; to install it see docs/how-to/install.md.
 
     \b
     Example:

@@ -20,12 +20,11 @@ from gateway.commands.shared_options import (
     common,
     confirm,
     json_option,
-    output_option,
+    junit_option,
     refuse_to_replace,
     session_of,
     show_remarks,
     write_json,
-    writes,
 )
 from gateway.errors import FindingFailed
 
@@ -51,7 +50,7 @@ def folder_option(*names: str, help: str) -> Callable[[Function], Function]:
 
 @config.command("dump")
 @cell_argument
-@writes(folder_option("-o", "--output", help="Folder for NODE.dcf"))
+@folder_option("-o", "--output", help="Folder for NODE.dcf")
 @click.option("--eds", "sheets", multiple=True, metavar="[NODE=]FILE", help="EDS of a node whose profile names none.")
 @bus_option
 @json_option
@@ -79,7 +78,7 @@ def config_dump(
         by_node[key] = Path(name if key is not None else stated)
     for arm in context.arms:
         for axis in arm.axis:
-            refuse_to_replace(dcf_path(context, arm, axis.node_id, folder), "--output", session)
+            refuse_to_replace(dcf_path(context, arm, axis.node_id, folder), "-o")
 
     def written(node: dict[str, Any]) -> None:
         unread, where = node["unread"], f"node {node['node_id']}"
@@ -146,7 +145,7 @@ def _show(nodes: Sequence[ComparedNode]) -> None:
 @config.command("diff")
 @cell_argument
 @folder_option("--dcf", help="Folder with NODE.dcf")
-@output_option("--junit", "junit_file", metavar="FILE", help="Write the comparison as JUnit XML.")
+@junit_option
 @bus_option
 @json_option
 @common

@@ -65,16 +65,10 @@ class Session:
         -1 errors only, 0 normal, 1 and more details.
     data_on_stdout : bool
         True when stdout carries JSON, so that tables go to stderr.
-    replaces : bool
-        True if existing files may be replaced.
-    in_degrees : bool
-        True when joint angles are typed in degrees.
     """
 
     verbosity: int = 0
     data_on_stdout: bool = False
-    replaces: bool = False
-    in_degrees: bool = False
     _consoles: dict[bool, Console] = field(default_factory=dict)
     _outlets: dict[bool, Outlet] = field(default_factory=dict)
 

@@ -54,10 +54,11 @@ def doctor(json_out: str | None) -> None:
     Example:
       servo-gateway doctor
     """
-    from gateway.result.values import plain_values
-
     checks = list(look(Path("/"), Path.cwd()))
-    write_json(json_out, {"schema": 1, "checks": plain_values(checks)})
+    if json_out is not None:  # numpy is loaded for it
+        from gateway.result.values import plain_values
+
+        write_json(json_out, {"schema": 1, "checks": plain_values(checks)})
     session_of().show(findings_table(checks, "this computer"))
 
 

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from drives.files import replace_file
-from gateway.commands.shared_options import common, json_option, refuse_to_replace, session_of, write_json, writes
+from gateway.commands.shared_options import common, json_option, session_of, write_json
 from gateway.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 STORE = click.argument("store", type=click.Path(path_type=Path, file_okay=False))
 #: Number of robots listed at the terminal.
@@ -69,15 +65,12 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
     help="Dask scheduler, tls://HOST:PORT (tcp:// is not authenticated); default: processes on this machine.",
 )
 @click.option("--as-of", metavar="DATE", help="Evaluate as of that day (UTC); default: now.")
-@click.option("--silent-days", type=click.FloatRange(0, min_open=True), default=30.0, show_default=True,
-              help="Days without a check after which a robot is listed as not seen.")  # fmt: skip
 @json_option
 @common
 def fleet_analyse(
     store: Path,
     scheduler: str | None,
     as_of: str | None,
-    silent_days: float,
     json_out: str | None,
 ) -> None:
     """Estimate all recordings with this version, find drift, and rank the robots by need for service.
@@ -89,17 +82,17 @@ def fleet_analyse(
       servo-gateway fleet analyse store
     """
     from gateway.commands.console import grid
-    from gateway.fleet.analysis import AsOf, run_analysis
+    from gateway.fleet.analysis import run_analysis
     from gateway.fleet.store import open_store
     from gateway.fleet.workers import workers
     from gateway.report.fleet_page import headline
     from gateway.result.values import plain_values
 
-    asked, opened, session = AsOf(_moment(as_of), silent_days), open_store(store), session_of()
+    moment, opened, session = _moment(as_of), open_store(store), session_of()
     if scheduler is not None and not scheduler.startswith("tls://"):
         session.note(UNAUTHENTICATED)
     with workers(scheduler) as spread, session.working("analysis"):
-        found = run_analysis(opened, spread, asked)
+        found = run_analysis(opened, spread, moment)
     session = session_of()
     asking = [line for line in found.robots if line.state != "healthy"][:NAMED]
     rows = [[line.robot, line.state, line.why[0] if line.why else "", line.last_seen] for line in asking]
@@ -124,8 +117,8 @@ def _moment(text: str | None) -> datetime:
 
 @fleet.command("report")
 @STORE
-@writes(click.option("-o", "--output", metavar="FOLDER", type=click.Path(path_type=Path, file_okay=False),
-                     help="Folder for the pages; default: STORE/report."))  # fmt: skip
+@click.option("-o", "--output", metavar="FOLDER", type=click.Path(path_type=Path, file_okay=False),
+              help="Folder for the pages; default: STORE/report.")  # fmt: skip
 @click.option("--robot", "robots", multiple=True, metavar="ROBOT", help="Write only the pages of these robots.")
 @json_option
 @common
@@ -146,8 +139,6 @@ def fleet_report(store: Path, output: Path | None, robots: tuple[str, ...], json
     opened, session = open_store(store), session_of()
     found = read_fleet(opened.analysis / FLEET_FILE)
     folder = opened.path / "report" if output is None else output
-    if output is not None:
-        refuse_to_replace(output / INDEX, "-o", session)
     known = [line.robot for line in found.robots if line.first_seen]
     unknown = [name for name in robots if name not in known]
     if unknown:

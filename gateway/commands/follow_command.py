@@ -24,7 +24,7 @@ from gateway.commands.shared_options import (
     json_option,
     load_option,
     operator_option,
-    output_option,
+    page_option,
     result_argument,
     session_of,
     trace_option,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     type=FILE,
     help="Friction and rotor inertia, instead of the cell's `identified`; default: from RESULT, if present.",
 )
-@output_option("-o", "--output", "report_file", metavar="PAGE.html", help="Page that compares the settings.")
+@page_option()
 @trace_option
 @arm_option
 @operator_option
@@ -62,7 +62,7 @@ def follow(
     load_file: Path,
     label: str | None,
     identified: Path | None,
-    report_file: Path | None,
+    output: Path | None,
     trace: Path | None,
     arm_name: str | None,
     operator: str | None,
@@ -101,9 +101,9 @@ def follow(
             operator_name=operator,
         )
     write_json(json_out, plain_values(result))
-    if report_file:
-        write_page(report_file, render_follow(result))
-        session.show(f"report: {report_file}")
+    if output:
+        write_page(output, render_follow(result))
+        session.show(f"report: {output}")
     _show(result, session)
     fail_on_findings(result.findings)
 

@@ -11,7 +11,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.compare import JSON_NAME, PAGE_NAME, repeat, repeat_option
-from gateway.commands.measure import arm_option
+from gateway.commands.measure import arm_option, until_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.result_output import fail_on_findings, show_result, write_junit
 from gateway.commands.shared_options import (
@@ -28,7 +28,6 @@ from gateway.commands.shared_options import (
     session_of,
     write_json,
 )
-from gateway.commands.until import until_option
 from gateway.data.labels import BARE_LABEL
 from gateway.errors import GatewayError
 

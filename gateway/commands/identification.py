@@ -118,7 +118,7 @@ def _analysed(
     show_result(result, session)
     fail_on_findings(result.findings)
     if save and cell_file is not None and json_out is not None:
-        session.show(f"loads: {save_loads(cell_file, result, Path(json_out), session.replaces)}")
+        session.show(f"loads: {save_loads(cell_file, result, Path(json_out))}")
 
 
 @click.command()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +13,10 @@ from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.plan_moving import moving_plan_options, show_moving_plan
 from gateway.commands.shared_options import (
     FILE,
+    JSON_FILE,
     KNOWN_FORM,
     KNOWN_HELP,
+    PAGE_FILE,
     bus_option,
     cell_argument,
     cell_context,
@@ -26,16 +27,14 @@ from gateway.commands.shared_options import (
     known_loads,
     load_option,
     note_remarks,
-    output_option,
     recording_file,
     session_of,
     trace_option,
-    unit_option,
     write_json,
 )
-from gateway.commands.until import as_json, until_option
 
 if TYPE_CHECKING:
+    from gateway.acquire.until import NextStep
     from gateway.acquire.until_goal import Goal
     from gateway.excite.expected import Purpose
     from gateway.pipeline.known import KnownLoad
@@ -43,11 +42,29 @@ if TYPE_CHECKING:
 arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm to use, if the cell has several.")
 
 
+def _goal(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Goal | None:
+    from gateway.acquire.until_goal import parse_until
+
+    return None if value is None else parse_until(value)
+
+
+until_option = click.option(
+    "--until",
+    "goal",
+    metavar="mass=0.5%,com=3mm",
+    callback=_goal,
+    help="Choose poses during the measurement and stop when the 95 % interval of the load is this narrow (half width; "
+    "kg, %, mm, m).",
+)
+
+
 @click.command()
 @cell_argument
 @click.option("--poses", "n_poses", type=click.IntRange(min=1), metavar="N", help="Number of poses for the fit.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the random candidates.")
-@output_option("--view", metavar="PAGE.html", help="Write a page that shows poses, paths and keep-out boxes.")
+@click.option(
+    "--view", metavar="PAGE.html", type=PAGE_FILE, help="Write a page that shows poses, paths and keep-out boxes."
+)
 @click.option(
     "--distinguish",
     callback=effect_names,
@@ -55,7 +72,7 @@ arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm to use,
     help="Choose rest poses that show these effects and tell them apart, within the same time.",
 )
 @moving_plan_options
-@output_option("-o", "--output", metavar="PLAN.json", help="Plan file for `record` and `rehearse`.")
+@click.option("-o", "--output", metavar="PLAN.json", type=JSON_FILE, help="Plan file for `record` and `rehearse`.")
 @arm_option
 @json_option
 @common
@@ -128,11 +145,11 @@ def plan(
 
 
 def _poses(
-    ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
+    _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
 ) -> tuple[tuple[tuple[float, ...], ...], tuple[int, ...]]:
     """Return postures and pose numbers; an integer without sign and point is a pose number."""
     numbers = [value for value in values if value.strip().isdecimal()]
-    postures = tuple(joint_angles(value, session_of(ctx)) for value in values if value not in numbers)
+    postures = tuple(joint_angles(value) for value in values if value not in numbers)
     return postures, tuple(map(int, numbers))
 
 
@@ -161,10 +178,9 @@ def _poses(
     "--poses",
     multiple=True,
     callback=_poses,
-    metavar="J1,J2,...|N",
+    metavar="J1,J2,...[deg]|N",
     help="Measure this pose instead of those of the cell, or pose N of RUN.h5 again; repeatable.",
 )
-@unit_option
 @click.option(
     "--next",
     "result",
@@ -220,9 +236,7 @@ def record(
       servo-gateway record cell.toml --load gripper -o loaded.h5
       servo-gateway record cell.toml --load gripper -o moving.h5 --plan plan.json
     """
-    from gateway.acquire.session import MOVING_KEYS, REST_KEYS
     from gateway.commands.terminal import terminal
-    from gateway.excite.plan_file import is_moving_plan
     from gateway.jobs import measure
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.pipeline.inputs import ModelRequest
@@ -235,38 +249,59 @@ def record(
         raise click.UsageError(
             "--plan, --poses J1,J2,.., --poses N, --next and --until exclude each other: give one of them"
         )
-    in_motion = plan_file is not None and is_moving_plan(plan_file)
     context, session = cell_context(cell, bus_spec, moving.pacing), session_of()
     arm = arm_named(context.loaded, arm_name)
     if any(len(q_rad) != len(arm.axis) for q_rad in postures):
         raise click.UsageError(f"--poses: arm '{arm.name}' has {len(arm.axis)} axes: give one joint angle per axis")
     note_remarks(arm_robot(context.loaded, arm))
     operator = terminal(session, moving)
-    if moving.yes and not in_motion:
-        operator = replace(operator, planned=lambda _arm, _plan: None)
     more = dict[str, Any]()
     with stoppable(moving) as options:
         run = context, label, output
-        if plan_file is not None and in_motion:
-            summary = measure.record_moving(
-                *run, plan_file, operator, options, arm=arm.name, resume=resume, trace=trace
+        if goal is None:
+            summary = measure.record(
+                *run,
+                operator,
+                options,
+                arm=arm.name,
+                resume=resume,
+                poses=result or again or postures,
+                plan=plan_file,
+                trace=trace,
             )
-        elif goal is None:
-            kept: dict[str, Any] = {"arm": arm.name, "resume": resume, "plan": plan_file, "trace": trace}
-            summary = measure.record(*run, operator, options, poses=result or again or postures, **kept)
         else:
             model = ModelRequest(cell=cell, arm=arm.name, bare=bare, known=known)
             summary, decision = measure.record_until_known(
                 *run, goal, operator, options, model=model, resume=resume, trace=trace
             )
             session.show(summary.reason)
-            more = {"until": as_json(summary.reason, decision)}
-    counted = f"{summary.periods} periods" if in_motion else f"{summary.visits} visits"
-    session.show(f"{output}: {counted} under load {label}, {summary.skipped} already recorded")
-    if not in_motion:
+            more = {"until": _until_as_json(summary.reason, decision)}
+    new = " and ".join(
+        f"{count} {what}" for count, what in ((summary.visits, "visits"), (summary.periods, "periods")) if count
+    )
+    session.show(f"{output}: {new or 'nothing new'} under load {label}, {summary.skipped} already recorded")
+    if summary.visits:
         session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
     for name, period in summary.missed:
         session.show(f"'{name}', period {period}: SYNCs not answered in two attempts; repeat it with --resume")
     body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more}
-    left_out = REST_KEYS if in_motion else MOVING_KEYS
-    write_json(json_out, {key: body[key] for key in body if key not in left_out})
+    del body["reason"]
+    write_json(json_out, body)
+
+
+def _until_as_json(reason: str, decision: NextStep) -> dict[str, Any]:
+    """Return how it ended as plain values; null if not requested or unknown."""
+    from gateway.result.values import plain_values
+
+    verdict = decision.verdict
+    return plain_values(
+        {
+            "reached": bool(verdict.reached.all()),
+            "reason": reason,
+            "poses": verdict.poses,
+            "mass_half_width_kg": float(verdict.half[0]),
+            "mass_goal_kg": float(verdict.goal[0]),
+            "com_half_width_m": verdict.half[1:],
+            "com_goal_m": verdict.goal[1:],
+        }
+    )

@@ -17,7 +17,6 @@ from gateway.commands.shared_options import (
     joint_angles,
     note_remarks,
     session_of,
-    unit_option,
 )
 from gateway.jobs import SLOW_PERCENT
 
@@ -26,7 +25,7 @@ NAMES = ("home", "loading")
 
 def _to(ctx: click.Context, _param: click.Parameter, value: str) -> str | tuple[float, ...]:
     """Return a posture name, or joint angles."""
-    return value if value in NAMES else joint_angles(value, session_of(ctx))
+    return value if value in NAMES else joint_angles(value)
 
 
 @click.command()
@@ -36,10 +35,9 @@ def _to(ctx: click.Context, _param: click.Parameter, value: str) -> str | tuple[
     "to",
     required=True,
     callback=_to,
-    metavar="home|loading|J1,J2,...",
-    help="home_rad or loading_rad of the cell file, or joint angles in the unit of --unit.",
+    metavar="home|loading|J1,J2,...[deg]",
+    help="home_rad or loading_rad of the cell file, or joint angles [rad], or in degrees as 0,30,0,0,20,0deg.",
 )
-@unit_option
 @arm_option
 @bus_option
 @partial(move_options, percent=SLOW_PERCENT)

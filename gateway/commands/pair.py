@@ -19,7 +19,7 @@ from gateway.commands.shared_options import (
     cell_context,
     common,
     json_option,
-    output_option,
+    page_option,
     session_of,
     write_json,
 )
@@ -65,21 +65,20 @@ def teach(
     from gateway.result.values import plain_values
 
     context, session = cell_context(cell, bus_spec, moving.pacing), session_of()
-    folder = store or cell.with_suffix(".pair")
     with stoppable(moving) as options:
-        points = run(
+        path, points = run(
             context,
             terminal(session, moving),
             options,
             resume=resume,
-            store=folder,
+            store=store,
             report=lambda point, done, count: session.show(
                 f"point {done} of {count} at {point.s_m:.3f} m: {point.force_n[0]:.1f} N before,"
                 f" {point.force_n[-1]:.1f} N after {len(point.force_n)} sweeps;"
                 f" slave moved {1e3 * max(map(abs, point.correction_m)):.2f} mm"
             ),
         )
-    session.show(f"{folder / 'first.json'}: first function with {len(points)} points")
+    session.show(f"{path}: first function with {len(points)} points")
     write_json(json_out, {"schema": SCHEMA, "points": plain_values(points)})
 
 
@@ -190,7 +189,7 @@ def learn(
 
 @pair.command("report")
 @cell_argument
-@output_option("-o", "--output", required=True, metavar="REPORT.html", help="Page to write.")
+@page_option(required=True)
 @store_option
 @common
 def pair_report(cell: Path, output: Path, store: Path | None) -> None:

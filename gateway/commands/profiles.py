@@ -10,12 +10,13 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.bus import DEFAULT_BUS
+from gateway.commands.interview import answer_of_line
 from gateway.commands.shared_options import (
     FILE,
+    NEW_FILE,
     common,
     json_option,
     key_values,
-    output_option,
     reserve,
     session_of,
     show_remarks,
@@ -97,7 +98,7 @@ def profiles_schema() -> None:
     "--answer", "typed", metavar="KEY=VALUE", multiple=True, help="One answer; takes precedence over the answer file."
 )
 @click.option("--name", metavar="NAME", help="Name of the profile; default: name of the output file.")
-@output_option("-o", "--output", required=True, metavar="PROFILE.toml", help="Draft to write.")
+@click.option("-o", "--output", required=True, metavar="PROFILE.toml", type=NEW_FILE, help="Draft to write.")
 @json_option
 @common
 def profiles_new(
@@ -119,11 +120,11 @@ def profiles_new(
     Example:
       servo-gateway profiles new --eds drive.eds --from-drive 1 -o drive.toml
     """
-    from drives.draft.answers import ProfileAnswers, read_answers, with_answers
     from drives.draft.device import device_of_sheet
     from drives.draft.questions import open_questions
     from drives.draft.text import draft, profile_name
     from drives.profile_file import list_profiles, parse_profile
+    from gateway.newcell.answers import profile_answers
 
     if node_id is None and bus_spec is not None:
         raise click.UsageError("--bus SPEC belongs to --from-drive NODE.")
@@ -131,9 +132,7 @@ def profiles_new(
         raise click.UsageError(f"-o {output}: the file name of a profile must end with .toml.")
     if output.stem in list_profiles():
         raise ConfigError(f"{output}: this name is used by a built-in profile: choose another name")
-    answers = with_answers(
-        read_answers(answer_file) if answer_file else ProfileAnswers(), key_values("--answer", typed)
-    )
+    answers = profile_answers(answer_file, key_values("--answer", typed))
     device = device_of_sheet(eds)
     show_remarks(str(eds), device.sheet.remarks)
     if node_id is not None:
@@ -177,20 +176,17 @@ def _ask_drive(device: Device, node_id: int, bus_spec: str) -> Device:
 
 def _ask(device: Device, answers: ProfileAnswers) -> ProfileAnswers:
     """Ask the open questions one by one; Enter leaves a question open."""
-    from drives.draft.answers import with_answers
     from drives.draft.questions import next_question
-    from drives.errors import ProfileError
+    from gateway.newcell.forms import plain_text
 
     asked: set[str] = set()
     while (question := next_question(device, answers, asked)) is not None:
         session_of().note(f"\n{question.asks}")
         for hint in question.ways:
             session_of().note(f"  - {hint}")
-        text = click.prompt(question.key, default="", show_default=False, err=True).strip()
-        try:
-            answers = with_answers(answers, {question.key: text} if text else {})
-        except ProfileError as error:
-            session_of().note(str(error))
-            continue
+        form = question.form
+        answer = answer_of_line(question.key, lambda line, form=form: form(plain_text(line), 0), optional=True)
+        if answer is not None:
+            answers = answers.model_copy(update={question.key: answer})
         asked.add(question.key)
     return answers

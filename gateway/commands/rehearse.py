@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from gateway.commands.shared_options import (
     cell_argument,
     common,
     effect_names,
-    output_option,
     recording_file,
     session_of,
     write_json,
@@ -46,7 +44,6 @@ from gateway.errors import InputError
     metavar="N",
     help="Arms without an effect, for the load and for false names.",
 )
-@output_option("--report", metavar="PAGE.html", help="Write a page with a chart of every effect.")
 @arm_option
 @common
 def rehearse(
@@ -56,7 +53,6 @@ def rehearse(
     plan_file: Path | None,
     effects: frozenset[str],
     clean_arms: int,
-    report: Path | None,
     arm_name: str | None,
 ) -> None:
     """What a plan would find on this robot: known effects are put into simulated arms, and found again or not.
@@ -65,22 +61,18 @@ def rehearse(
 
     \b
     Example:
-      servo-gateway rehearse cell.toml -o rehearsal.json --report rehearsal.html
+      servo-gateway rehearse cell.toml -o rehearsal.json
     """
-    from gateway.commands.pages import write_page
     from gateway.jobs.rehearse import rehearse as rehearsed
     from gateway.report import rehearsal_page
     from gateway.result.numerals import significant
-    from gateway.result.origin import Origin, in_words, refuse_edited, sealed, software
-    from gateway.result.values import check_kind, json_object, text_of
+    from gateway.result.origin import read_rehearsal, sealed
 
     session, earlier = session_of(), None
     if resume:
-        earlier = json_object(text_of(output, "name the file that `rehearse` wrote"), str(output))
-        check_kind(earlier, 1, "rehearsal", str(output))
-        refuse_edited(earlier, str(output), "with `servo-gateway rehearse`")
-    elif output.exists() and not session.replaces:
-        raise InputError(f"{output} exists: continue it with --resume, or replace it with --force")
+        earlier = read_rehearsal(output)
+    elif output.exists():
+        raise InputError(f"{output} exists: continue it with --resume, or choose another file")
     with session.progress(0.0, "rehearsal") as bar:
 
         def done(body: Mapping[str, Any], places: int, total: int) -> None:
@@ -88,8 +80,6 @@ def rehearse(
             bar.set(places, total, f"{places} of {total} places")
 
         answer = rehearsed(cell, arm_name, plan_file, effects, clean_arms, earlier=earlier, done=done)
-    if report is not None:
-        write_page(report, rehearsal_page.render_rehearsal(answer, Origin(in_words(datetime.now(UTC)), software())))
     rows, head = [rehearsal_page.effect_cells(entry) for entry in answer["effects"]], rehearsal_page.COLUMNS
     session.show(grid("effects, and the size from which half of the arms show them by name", head, rows, left=5))
     for family in answer["families"]:
@@ -102,4 +92,4 @@ def rehearse(
     minutes = significant(answer["time_under_power_s"] / 60.0, 2)
     session.show(f"time under power, without and with the load: {minutes} min")
     session.show(f"named on arms without an effect: {answer['false_names']} of {answer['clean_arms']}")
-    session.show(f"{output}: all arms" + ("" if report is None else f"; {report}: page"))
+    session.show(f"{output}: all arms; `servo-gateway report {output} -o PAGE.html` draws every effect")

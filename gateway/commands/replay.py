@@ -10,16 +10,16 @@ from typing import Any, Final
 import click
 
 from gateway.commands.console import grid
-from gateway.commands.shared_options import FILE, common, json_option, output_option, session_of, write_json
+from gateway.commands.shared_options import FILE, NEW_FILE, common, json_option, session_of, write_json
 from gateway.errors import FindingFailed
 
 #: Differences that are listed; more are counted.
 _SHOWN: Final = 20
 
-archive_option: Callable[..., Any] = output_option(
+archive_option: Callable[..., Any] = click.option(
     "--archive",
-    "archive",
     metavar="FILE.zip",
+    type=NEW_FILE,
     help="Store data, cell, options, result and certificate, to be computed again by `replay`.",
 )
 

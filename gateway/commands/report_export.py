@@ -10,8 +10,8 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.measure import arm_option
-from gateway.commands.shared_options import FILE, common, json_option, output_option, session_of, write_json
-from gateway.result.names import CERTIFICATE_FORMAT, EXPORT_FORMATS, RECORDING_FORMATS, TABLE_FORMAT
+from gateway.commands.shared_options import FILE, NEW_FILE, common, json_option, page_option, session_of, write_json
+from gateway.result.names import CERTIFICATE_FORMAT, EXPORT_FORMATS, RECORDING_FORMATS, REHEARSAL, TABLE_FORMAT
 
 if TYPE_CHECKING:
     from gateway.formats.log_map import LogMap
@@ -19,18 +19,12 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("result", metavar="OUT.json|RUN.h5", type=FILE)
-@output_option(
-    "-o",
-    "--output",
-    required=True,
-    metavar="REPORT.html",
-    help="Page to write; .pdf is printed by an installed browser.",
-)
+@click.argument("result", metavar="FILE", type=FILE)
+@page_option(required=True)
 @json_option
 @common
 def report(result: Path, output: Path, json_out: str | None) -> None:
-    """Write one page from a result. It opens offline and can be printed; PDF needs an installed browser.
+    """Write one page from a result or a rehearsal. It opens offline and can be printed; PDF needs an installed browser.
 
     For a stopped recording, or its black box: the page shows the last seconds before the stop.
 
@@ -41,6 +35,7 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
     from gateway.commands.pages import write_page
     from gateway.data.table import is_recording
     from gateway.report.render import render
+    from gateway.result.values import json_object, text_of
 
     if is_recording(result):
         from gateway.data.blackbox.box import read_box
@@ -56,6 +51,13 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
             )
         box = read_box(path)
         page, summary = render_stop(box), {"recording": box.recording, "reason": box.reason}
+    elif result.is_file() and json_object(text_of(result, "name a result"), str(result)).get("kind") == REHEARSAL:
+        from gateway.report.rehearsal_page import render_rehearsal
+        from gateway.result.origin import Origin, in_words, read_rehearsal, software
+
+        answer = read_rehearsal(result)
+        page = render_rehearsal(answer, Origin(in_words(datetime.now(UTC)), software()))
+        summary = {"robot": answer["robot"], "arm": answer["arm"]}
     else:
         held = _read_result(result)
         page, summary = render(held), {"robot": held.robot, "verdict": held.verdict}
@@ -74,14 +76,15 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
     help=f"Output format; for RUN.h5 {', '.join(RECORDING_FORMATS)}.",
 )
 @click.option("--load", "label", metavar="LABEL", help="Export only this load.")
-@click.option("--all", "every", is_flag=True, help="One file with all loads of the library CELL.loads.json.")
 @arm_option
-@output_option("-o", "--output", metavar="FILE", help="File to write; default: stdout.")
+@click.option("-o", "--output", metavar="FILE", type=NEW_FILE, help="File to write; default: stdout.")
 @common
-def export(result: Path, fmt: str, label: str | None, every: bool, arm_name: str | None, output: Path | None) -> None:
+def export(result: Path, fmt: str, label: str | None, arm_name: str | None, output: Path | None) -> None:
     """Export the load as URDF, JSON or in the syntax of a robot controller; or a recording as table or for other tools.
 
     dcc is a Digital Calibration Certificate (XML): values, expanded uncertainty, budget, traceability.
+
+    CELL.loads.json gives one file with all its loads, CELL.loads.json#LABEL with one.
 
     csv is the measured table that `estimate` and `diagnose` read: two rows per pose, joint-side torque. The other
     formats of a recording contain every sample, with units.
@@ -94,10 +97,8 @@ def export(result: Path, fmt: str, label: str | None, every: bool, arm_name: str
     from gateway.data.table import is_recording
     from gateway.result.export import export as export_text
     from gateway.result.export import loads_of_library
+    from gateway.result.library import SUFFIX
 
-    if every and (fmt in (CERTIFICATE_FORMAT, *RECORDING_FORMATS) or label is not None):
-        wrong = f"--format {fmt} is of one result" if label is None else f"--load {label} is one load"
-        raise click.UsageError(f"{wrong}, and --all is all loads of a library: leave one of both out")
     if is_recording(result) != (fmt in RECORDING_FORMATS):
         kinds = f"{fmt} is" if fmt in RECORDING_FORMATS else f"{', '.join(RECORDING_FORMATS)} are"
         raise click.UsageError(f"--format {kinds} for a recording (.h5); the other formats are for a result (.json)")
@@ -131,7 +132,7 @@ def export(result: Path, fmt: str, label: str | None, every: bool, arm_name: str
             table = table.take(table.load == label)
         text = csv_of(table)
     else:
-        held = loads_of_library(result) if every else _read_result(result)
+        held = loads_of_library(result) if result.name.endswith(SUFFIX) else _read_result(result)
         text = export_text(held, fmt, label)
         if held.data is not None and is_assumed(held.data.flange_source or ""):
             session_of().note(f"{result}: flange {held.data.flange_source}; state flange_rpy_rad in the cell file")
@@ -181,7 +182,7 @@ def _certificate(path: Path, label: str | None, output: Path | None) -> None:
 @click.option("--load", "label", metavar="LABEL", help="Load of all rows.")
 @click.option("--joints", metavar="NAME,NAME,..", help="Names of the joints in the log, in the order of the arm.")
 @click.option("--dry-run", is_flag=True, help="Show first values, units, ranges and problems; write nothing.")
-@output_option("-o", "--output", metavar="TABLE.csv", help="Measured table to write.")
+@click.option("-o", "--output", metavar="TABLE.csv", type=NEW_FILE, help="Measured table to write.")
 @common
 def import_(
     log: Path, map_file: Path, label: str | None, joints: str | None, dry_run: bool, output: Path | None

@@ -8,7 +8,7 @@ import math
 import select
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from gateway.model.robot import Robot
     from gateway.pipeline.known import KnownLoad
     from gateway.result.acceptance import Expected
-#: A file on the command line.
-FILE = click.Path(path_type=Path, dir_okay=False)
-
 #: Number of data sheet remarks printed without -v.
 REMARKS_SHOWN = 10
 
@@ -67,32 +64,58 @@ def common(function: Function) -> Function:
     )
 
 
-def _forced(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
-    session_of(ctx).replaces = value
+class FilePath(click.Path):
+    """Path of a file that a command reads or writes; a file that is written has one argument alone.
+
+    Parameters
+    ----------
+    is_written : bool
+    *replaced : str
+        Suffixes of the files to write that are replaced, such as .json, because a command can compute them again.
+        Recordings, tables and files that are edited by hand are none.
+    """
+
+    def __init__(self, is_written: bool, *replaced: str) -> None:
+        super().__init__(path_type=Path, dir_okay=False)
+        self._is_written, self._replaced = is_written, replaced
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; `-` passes where JSON is written.
+
+        Raises
+        ------
+        InputError
+            The file to write exists and is not replaced, or cannot be written.
+        """
+        if ctx is None or param is None or (value == "-" and self is JSON_FILE):
+            return value
+        path: Any = super().convert(value, param, ctx)
+        is_written: dict[Path, bool] = ctx.meta.setdefault("servo-gateway.files", {})
+        place = path.resolve()
+        if place in is_written and (self._is_written or is_written[place]):
+            raise click.BadParameter(f"{path} is used for another argument: choose another file", ctx, param)
+        is_written[place] = self._is_written
+        if self._is_written:
+            if path.suffix not in self._replaced:
+                refuse_to_replace(path, param.opts[0])
+            refuse_unwritable(path, param.opts[0])
+        return path
 
 
-def new_file(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
-    """Return a file to write; an existing one is refused without --force.
+#: Files on the command line: one that is read, and those that are written.
+FILE, NEW_FILE = FilePath(is_written=False), FilePath(is_written=True)
+JSON_FILE, PAGE_FILE = FilePath(True, ".json"), FilePath(True, ".html", ".pdf")
+
+
+def refuse_to_replace(path: Path, option: str) -> None:
+    """Refuse a file that exists.
 
     Raises
     ------
     InputError
     """
-    if value is not None:
-        refuse_to_replace(value, param.opts[0], session_of(ctx))
-    return value
-
-
-def refuse_to_replace(path: Path, option: str, session: Session) -> None:
-    """Refuse to replace an existing file without --force.
-
-    Raises
-    ------
-    InputError
-    """
-    if path.is_file() and not session.replaces:
-        raise InputError(f"{path} exists: choose another file for {option}, or replace it with --force")
-    refuse_unwritable(path, option)
+    if path.is_file():
+        raise InputError(f"{path} exists and is not replaced: choose another name for {option}, or move that file")
 
 
 def refuse_unwritable(path: Path, option: str) -> None:
@@ -123,31 +146,10 @@ def recording_file(_ctx: click.Context, param: click.Parameter, value: Path) -> 
     return value
 
 
-def writes(*options: Callable[[Function], Function]) -> Callable[[Function], Function]:
-    """Add options for files to write, and --force once per command."""
-
-    def added(function: Function) -> Function:
-        for option in reversed(options):
-            function = option(function)
-        known = getattr(function, "__click_params__", [])
-        return function if any("--force" in each.opts for each in known) else _force(function)
-
-    return added
-
-
-_force = click.option(
-    "--force",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_forced,
-    help="Replace existing files.",
-)
-
-
-def output_option(*names: str, metavar: str, help: str, required: bool = False) -> Callable[[Function], Function]:
-    """Return an option for a file to write, with --force."""
-    return writes(click.option(*names, type=FILE, metavar=metavar, required=required, callback=new_file, help=help))
+def page_option(required: bool = False) -> Callable[[Function], Function]:
+    """Return -o PAGE.html."""
+    help = "Page to write; .pdf is printed by an installed browser."
+    return click.option("-o", "--output", metavar="PAGE.html", type=PAGE_FILE, required=required, help=help)
 
 
 def folder_options(recording: str) -> Callable[[Function], Function]:
@@ -187,20 +189,23 @@ def measurement_options(data: str, recording: str) -> Callable[[Function], Funct
     return decorate
 
 
-def _json_target(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    if value == "-":
-        session_of(ctx).data_on_stdout = True
-    elif value is not None:
-        new_file(ctx, param, Path(value))
-    return value
+def _json_target(ctx: click.Context, _param: click.Parameter, value: Path | str | None) -> str | None:
+    session_of(ctx).data_on_stdout |= value == "-"
+    return None if value is None else str(value)
 
 
-json_option = writes(
-    click.option(
-        "--json", "json_out", metavar="OUT", callback=_json_target, help="Write the result as JSON; - for stdout."
-    )
+json_option = click.option(
+    "--json",
+    "json_out",
+    metavar="OUT",
+    type=JSON_FILE,
+    callback=_json_target,
+    help="Write the result as JSON; - for stdout.",
 )
-trace_option = output_option("--trace", metavar="FILE", help="Frame log (.blf, .log).")
+junit_option = click.option(
+    "--junit", "junit_file", metavar="FILE", type=FilePath(True, ".xml"), help="Write pass and fail as JUnit XML."
+)
+trace_option = click.option("--trace", metavar="FILE", type=NEW_FILE, help="Frame log (.blf, .log).")
 
 
 def _label(
@@ -231,9 +236,7 @@ def _expected(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ..
 
 def accept_options(function: Function) -> Function:
     """Add the options of ACCEPT."""
-    function = output_option("--junit", "junit_file", metavar="FILE", help="Write pass and fail as JUnit XML.")(
-        function
-    )
+    function = junit_option(function)
     return click.option(
         "--expect",
         "expected",
@@ -248,7 +251,8 @@ bus_option = click.option(
     "--bus",
     "bus_spec",
     metavar="SPEC",
-    help="Bus to use instead of that of the cell file; NAME=SPEC;NAME=SPEC for a cell with several buses.",
+    help="Bus instead of that of the cell file: INTERFACE:CHANNEL[,key=value].., such as socketcan:can0; for a cell "
+    "with several buses NAME=SPEC;NAME=SPEC.",
 )
 cell_argument = click.argument("cell", type=FILE)
 #: A result of the arm, or `CELL.loads.json#LABEL`.
@@ -344,7 +348,7 @@ def show_remarks(name: str, remarks: Sequence[Remark]) -> None:
         session.note(f"{name}: {len(remarks) - len(shown)} more lines are not used as written (list them with -v)")
 
 
-def key_values(option: str, pairs: Sequence[str], keys: Collection[str] = ()) -> dict[str, str]:
+def key_values(option: str, pairs: Sequence[str]) -> dict[str, str]:
     """Return the values of a repeatable option by key.
 
     Parameters
@@ -353,20 +357,17 @@ def key_values(option: str, pairs: Sequence[str], keys: Collection[str] = ()) ->
         Name of the option, for the message.
     pairs : sequence of str
         KEY=VALUE as typed.
-    keys : collection of str
-        Allowed keys; empty = any.
 
     Raises
     ------
     click.UsageError
-        An entry has no equals sign or an unknown key.
+        An entry has no key or no equals sign.
     """
     found: dict[str, str] = {}
     for pair in pairs:
         key, equals, value = (part.strip() for part in pair.partition("="))
-        if not equals or not key or (keys and key not in keys):
-            of = f" with one of {', '.join(keys)}" if keys else ""
-            raise click.UsageError(f"{option} '{pair}': write KEY=VALUE{of}.")
+        if not equals or not key:
+            raise click.UsageError(f"{option} '{pair}': write KEY=VALUE.")
         found[key] = value
     return found
 
@@ -490,35 +491,21 @@ def confirm(question: str, declined: str, meanwhile: Callable[[], None] | None =
         raise click.Abort(declined)
 
 
-def _unit(ctx: click.Context, _param: click.Parameter, value: str) -> None:
-    session_of(ctx).in_degrees = value == "deg"
-
-
-unit_option = click.option(
-    "--unit",
-    type=click.Choice(["rad", "deg"]),
-    default="rad",
-    show_default=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_unit,
-    help="Unit of the joint angles on the command line.",
-)
-
-
-def joint_angles(text: str, session: Session) -> tuple[float, ...]:
-    """Joint angles [rad] of `J1,J2,..` in the unit of `--unit`; anything else is a usage error."""
-    unit, example = ("deg", "0,-30,70,0,20,0") if session.in_degrees else ("rad", "0,-0.5,1.2,0,0.4,0")
+def joint_angles(text: str) -> tuple[float, ...]:
+    """Joint angles [rad] of `J1,J2,..`, or in degrees of `J1,J2,..deg`; anything else is a usage error."""
+    typed = text.strip().lower()
+    in_degrees = typed.endswith("deg")
     try:
-        values = tuple(float(part) for part in text.split(","))
+        values = tuple(float(part) for part in typed.removesuffix("deg").split(","))
     except ValueError:
         values = (math.nan,)
     if not all(map(math.isfinite, values)):
-        raise click.BadParameter(f"'{text}': give joint angles in {unit}, one per axis, such as {example}")
-    if session.in_degrees:
+        examples = "0,-0.5,1.2,0,0.4,0 (radians) or 0,-30,70,0,20,0deg"
+        raise click.BadParameter(f"'{text}': give one joint angle per axis, such as {examples}")
+    if in_degrees:
         return tuple(map(math.radians, values))
     if max(map(abs, values)) > LARGEST_ANGLE_RAD:
-        raise click.BadParameter(f"'{text}': these values are too large for radians: add --unit deg for degrees")
+        raise click.BadParameter(f"'{text}': these values are too large for radians: write {text}deg for degrees")
     return values
 
 

@@ -92,7 +92,7 @@ class ProgressListener:
 
 
 def terminal(session: Session, moving: MoveChoice) -> Operator:
-    """Return the person at the terminal; with --yes no question about motion is asked."""
+    """Return the person at the terminal; with --yes no question about motion is asked, and no plan is shown for it."""
 
     def mount(label: str, opened: OpenArm) -> None:
         """Ask for a load, or for an empty flange; its label or `yes` confirms it, typed after the prompt.
@@ -142,7 +142,7 @@ def terminal(session: Session, moving: MoveChoice) -> Operator:
         mount=mount,
         support=support_asked(moving),
         say=session.note,
-        planned=planned,
+        planned=planned if not moving.yes else lambda _arm, _plan: None,
         checked=checked,
         progress=progress,
         working=session.working,

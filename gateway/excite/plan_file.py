@@ -1,65 +1,56 @@
-"""Plan of excitation trajectories as a JSON file with a checksum, so that only a checked plan is driven."""
+"""Plan files of rest poses or excitation trajectories: JSON with a checksum, so that only a checked plan is driven."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
+from gateway.cell.config import ArmConfig
+from gateway.data.visit import Purpose
 from gateway.errors import InputError
 from gateway.excite.excitation import Excitation, MovingPlan, Series
 from gateway.excite.sweep_choice import Sweep
-from gateway.result.origin import KEY, refuse_edited, sealed
-from gateway.result.values import Matrix, Numbers, check_kind, decoded, json_object, plain_values, text_of
+from gateway.result.names import SILENT
+from gateway.result.origin import read_sealed, sealed
+from gateway.result.values import NAN, Matrix, Number, Numbers, decoded, plain_values
 
 SCHEMA: Final = 1
-KIND: Final = "moving_plan"
-_ADVICE: Final = "name the file that `plan CELL -o PLAN.json` wrote"
-_AGAIN: Final = "with servo-gateway plan CELL --moving -o PLAN.json"
+_AGAIN: Final = "with servo-gateway plan CELL -o PLAN.json"
 #: More harmonics or periods than any plan has.
 _MOST: Final = 1000
 
 
 def plan_as_plain(plan: MovingPlan) -> dict[str, Any]:
-    """Return a plan as plain values with its checksum."""
-    excitations = [excitation.plain() for excitation in plan.excitations]
-    head = {"schema": SCHEMA, "kind": KIND, "arm": plan.arm}
-    return sealed(plain_values(head | {"excitations": excitations, "expected": plan.expected}))
+    """Return a plan of excitation trajectories as plain values with its checksum."""
+    excitations = tuple(excitation.plain() for excitation in plan.excitations)
+    return PlanFile(plan.arm, "moving_plan", excitations=excitations, expected=plan.expected).as_plain()
 
 
-def is_moving_plan(path: Path) -> bool:
-    """Return whether a plan file holds excitation trajectories, and not rest poses.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is not JSON.
-    """
-    return json_object(text_of(path, _ADVICE), str(path)).get("kind") == KIND
-
-
-def read_moving_plan(path: Path) -> MovingPlan:
-    """Read the plan that `plan --moving -o` wrote, without checking it for an arm.
+def read_plan(path: Path, config: ArmConfig) -> PlanFile | MovingPlan:
+    """Read the plan of an arm that `plan -o` wrote, without checking it against the limits of the arm.
 
     Raises
     ------
     InputError
-        The file cannot be read, is of another kind, holds an invalid motion, or was edited.
+        The file cannot be read, is of another kind or arm, was edited, or holds no pose and no valid motion.
     """
     where = str(path)
-    data = json_object(text_of(path, _ADVICE), where)
-    check_kind(data, SCHEMA, KIND, where)
-    if KEY not in data:
-        raise InputError(f"{where}: has no {KEY}, so its content is not verified; write it {_AGAIN}")
-    refuse_edited(data, where, _AGAIN)
-    held = decoded(_Plan, data, where)
-    if not held.excitations:
-        raise InputError(f"{where}: holds no motion; write it {_AGAIN}")
-    excitations = [excitation_of(each, f"{where}: excitations[{row}]") for row, each in enumerate(held.excitations)]
-    return MovingPlan(held.arm, tuple(excitations), held.expected)
+    plan = decoded(PlanFile, read_sealed(path, SCHEMA, _AGAIN, "rest_plan", "moving_plan"), where)
+    is_moving = plan.kind == "moving_plan"
+    motions = [excitation_of(each, f"{where}: excitations[{row}]") for row, each in enumerate(plan.excitations)]
+    if not motions and (is_moving or not plan.duration_s > 0.0 or all(pose.purpose != "fit" for pose in plan.poses)):
+        raise InputError(f"{where}: holds no motion, and no duration and pose with purpose 'fit'; write it {_AGAIN}")
+    axes = {len(motion.start_rad) for motion in motions} | {len(pose.q_rad) for pose in plan.poses}
+    if plan.arm != config.name or axes != {len(config.axis)}:
+        raise InputError(
+            f"{where}: is a plan for arm '{plan.arm}' with {' or '.join(map(str, sorted(axes)))} axes, not for "
+            f"'{config.name}' with {len(config.axis)}; write it {_AGAIN}"
+        )
+    return MovingPlan(plan.arm, tuple(motions), dict(plan.expected or {})) if is_moving else plan
 
 
 def excitation_of(plain: Mapping[str, Any], where: str) -> Excitation:
@@ -116,10 +107,44 @@ def _refuse_numbers(lists: Matrix, positive: Numbers, periods: int, where: str) 
 
 
 @dataclass(frozen=True, slots=True)
-class _Plan:
+class PlannedPose:
+    """Rest pose of a plan file: number in the plan, purpose, joint angles [rad]."""
+
+    pose: int
+    purpose: Purpose
+    q_rad: Numbers
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFile:
+    """Content of a plan file: rest poses, or the plain values of excitation trajectories.
+
+    Attributes
+    ----------
+    arm, kind : str
+    poses : tuple of PlannedPose
+        In the order in which they are measured.
+    duration_s : float
+        Expected duration of a run of rest poses under one load.
+    excitations : tuple of dict
+    expected : dict or None
+        Expected uncertainty, for the operator.
+    distinguish : dict
+        As `Plan.distinguish`.
+    """
+
     arm: str
-    excitations: tuple[dict[str, Any], ...]
-    expected: dict[str, Any]
+    kind: Literal["rest_plan", "moving_plan"]
+    poses: tuple[PlannedPose, ...] = field(default=(), metadata=SILENT)
+    duration_s: Number = field(default=NAN, metadata=SILENT)
+    excitations: tuple[dict[str, Any], ...] = field(default=(), metadata=SILENT)
+    expected: Mapping[str, Any] | None = None
+    distinguish: Mapping[str, Any] = field(default_factory=dict, metadata=SILENT)
+    schema: int = SCHEMA
+
+    def as_plain(self) -> dict[str, Any]:
+        """Return the plain values of the file, with their checksum."""
+        return sealed(plain_values(self))
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,6 @@ from gateway.excite.expected import (
     stds_of_all,
 )
 from gateway.excite.limits import KINDS, LOAD_ACCELERATION, PLANNED, MovingLimits, moving_limits, states_of
-from gateway.excite.plan_file import read_moving_plan
 from gateway.excite.random_series import start_postures
 from gateway.excite.series_choice import chosen_series
 from gateway.excite.sweep_choice import chosen_sweeps
@@ -40,8 +39,6 @@ from gateway.result.inertia import moments_of
 from gateway.result.values import plain_values
 
 Floats = NDArray[np.float64]
-
-__all__ = ["MovingRequest", "check_moving_plan", "make_moving_plan", "read_moving_plan"]
 
 Choice = Literal["optimised", "random"]
 FrictionBy = Literal["sweeps", "series"]

@@ -14,7 +14,7 @@ from gateway.errors import GatewayError, InputError
 from gateway.fleet.checks import Row, estimated_rows
 from gateway.fleet.columns import ESTIMATE, columns, library
 from gateway.fleet.history import history
-from gateway.fleet.robot_state import SILENT_DAYS, judged, program_loads
+from gateway.fleet.robot_state import judged, program_loads
 from gateway.fleet.store import Store
 from gateway.fleet.trends import NoiseShapes, noise_shapes_of, seen_likelihoods, trends_of
 from gateway.fleet.workers import Spreading
@@ -32,32 +32,18 @@ FLEET_FILE: Final = "fleet.json"
 
 
 @dataclass(frozen=True, slots=True)
-class AsOf:
-    """Parameters of an analysis.
-
-    Attributes
-    ----------
-    as_of : time of the analysis, UTC
-    silent_days : a robot without a check for longer counts as not seen
-    """
-
-    as_of: datetime
-    silent_days: float = SILENT_DAYS
-
-
-@dataclass(frozen=True, slots=True)
 class _AssessRobots:
     """Assess some robots in a worker."""
 
     store: Store
     noise_shapes: NoiseShapes
-    asked: AsOf
+    as_of: datetime
 
     def __call__(self, robots: Sequence[str]) -> tuple[list[RobotLine], list[str]]:
         lines, failed = [], []
         for robot in robots:
             try:
-                found = health_of(self.store, robot, self.noise_shapes, self.asked)
+                found = health_of(self.store, robot, self.noise_shapes, self.as_of)
             except InputError as error:
                 failed.append(str(error))
                 (self.store.analysis / "robots" / f"{robot}.json").unlink(missing_ok=True)
@@ -89,7 +75,7 @@ class _Learn:
 
 
 def run_analysis(
-    store: Store, spread: Spreading, asked: AsOf, notify: Callable[[str, int], None] = lambda *_: None
+    store: Store, spread: Spreading, as_of: datetime, notify: Callable[[str, int], None] = lambda *_: None
 ) -> FleetHealth:
     """Estimate the recordings not yet estimated by this version, and assess every robot.
 
@@ -97,7 +83,8 @@ def run_analysis(
     ----------
     store : Store
     spread : Spreading
-    asked : AsOf
+    as_of : datetime
+        Time for which the robots are assessed, UTC.
     notify : callable
         Called with the completed step and its count.
 
@@ -113,7 +100,7 @@ def run_analysis(
     seen = [done for _, done in spread(_Learn(store), robots[::step][:_LEARNT_FROM])]
     noise_shapes = noise_shapes_of([each for each in seen if not isinstance(each, GatewayError)])
     lines: list[RobotLine] = []
-    for _, done in spread(_AssessRobots(store, noise_shapes, asked), _batches(robots)):
+    for _, done in spread(_AssessRobots(store, noise_shapes, as_of), _batches(robots)):
         if isinstance(done, GatewayError):
             failed.append(str(done))
             continue
@@ -122,7 +109,7 @@ def run_analysis(
         notify("robots", len(lines))
     lines.sort(key=lambda line: (STATES.index(line.state), -line.urgency, line.robot))
     fleet = FleetHealth(
-        as_of=in_words(asked.as_of),
+        as_of=in_words(as_of),
         software=software(),
         robots=tuple(lines),
         checks=sum(line.checks for line in lines),
@@ -133,7 +120,7 @@ def run_analysis(
     return fleet
 
 
-def health_of(store: Store, robot: str, noise_shapes: NoiseShapes, asked: AsOf) -> RobotHealth:
+def health_of(store: Store, robot: str, noise_shapes: NoiseShapes, as_of: datetime) -> RobotHealth:
     """Return the health of one robot.
 
     Raises
@@ -143,14 +130,14 @@ def health_of(store: Store, robot: str, noise_shapes: NoiseShapes, asked: AsOf) 
     """
     rows = store.read(robot)
     past = history(rows)
-    first = past.rows["time_utc"][0].as_py() if past.rows.num_rows else asked.as_of
+    first = past.rows["time_utc"][0].as_py() if past.rows.num_rows else as_of
     trends, curves = trends_of(past.series, noise_shapes, first)
-    loads = program_loads(past.rows, asked.as_of, asked.silent_days)
+    loads = program_loads(past.rows, as_of)
     gross = int(past.series.set_aside.sum())
     remarks = [*past.remarks, *([f"{gross} outliers were rejected"] if gross else [])]
     return RobotHealth(
-        line=judged(robot, past, trends, loads, asked.as_of, asked.silent_days),
-        as_of=in_words(asked.as_of),
+        line=judged(robot, past, trends, loads, as_of),
+        as_of=in_words(as_of),
         software=software(),
         trends=trends,
         loads=loads,

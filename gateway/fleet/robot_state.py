@@ -43,12 +43,11 @@ def judged(
     trends: Sequence[FleetTrend],
     loads: Sequence[ProgramLoad],
     as_of: datetime,
-    silent_days: float,
 ) -> RobotLine:
     """Return the state of a robot from its rows."""
     rows = history.rows
     last = rows["time_utc"][rows.num_rows - 1].as_py().replace(tzinfo=UTC) if rows.num_rows else None
-    silent = list(_silent(last, as_of, silent_days))
+    silent = list(_silent(last, as_of))
     if silent:
         loads = [load for load in loads if load.outcome == "fail"]
     reasons = sorted(
@@ -134,13 +133,13 @@ def _changed(loads: Sequence[ProgramLoad]) -> Iterator[Reason]:
             yield Reason("cannot tell", 1.0, f"load '{load.program}': {load.why}")
 
 
-def _silent(last: datetime | None, as_of: datetime, silent_days: float) -> Iterator[Reason]:
+def _silent(last: datetime | None, as_of: datetime) -> Iterator[Reason]:
     if last is None:
         yield Reason("not seen", _FAILING, "no check with a plausible time: set the clock of the robot")
         return
     days = (as_of - last).total_seconds() / 86400.0
-    if days > silent_days:
-        yield Reason("not seen", days / silent_days, f"not seen since {last:%Y-%m-%d}, {days:.0f} days")
+    if days > SILENT_DAYS:
+        yield Reason("not seen", days / SILENT_DAYS, f"not seen since {last:%Y-%m-%d}, {days:.0f} days")
 
 
 def _undetectable(history: History, trends: Sequence[FleetTrend]) -> Iterator[Reason]:
@@ -175,17 +174,17 @@ def _nearest(trends: Sequence[FleetTrend]) -> float:
 # -- loads -------------------------------------------------------------------------------------------------------------
 
 
-def program_loads(rows: Any, as_of: datetime, silent_days: float) -> tuple[ProgramLoad, ...]:
+def program_loads(rows: Any, as_of: datetime) -> tuple[ProgramLoad, ...]:
     """Return the load of every program, and whether it is verified."""
     outcomes = {each["program"]: each["outcome"] for loads in rows["loads"].to_pylist() for each in loads or ()}
     return tuple(
-        _program(program, rows, mass, std, outcomes.get(program), (as_of, silent_days))
+        _program(program, rows, mass, std, outcomes.get(program), as_of)
         for program, (mass, std) in sorted(program_masses(rows).items())
     )
 
 
 def _program(
-    program: str, rows: Any, mass: np.ndarray, std: np.ndarray, said: Outcome | None, when: tuple[datetime, float]
+    program: str, rows: Any, mass: np.ndarray, std: np.ndarray, said: Outcome | None, as_of: datetime
 ) -> ProgramLoad:
     known = np.flatnonzero(np.isfinite(mass))
     if not len(known):
@@ -193,8 +192,8 @@ def _program(
     first, last = int(known[0]), int(known[-1])
     last_seen = rows["time_utc"][last].as_py().replace(tzinfo=UTC)
     outcome, why = _verified(mass, std, (first, last), said)
-    days = (when[0] - last_seen).total_seconds() / 86400.0
-    if outcome == "pass" and days > when[1]:
+    days = (as_of - last_seen).total_seconds() / 86400.0
+    if outcome == "pass" and days > SILENT_DAYS:
         outcome, why = "cannot tell", f"not seen since {last_seen:%Y-%m-%d}"
     return ProgramLoad(
         program, len(known), float(mass[first]), float(std[first]), float(mass[last]), float(std[last]),

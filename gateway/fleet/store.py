@@ -190,7 +190,7 @@ def open_store(path: Path) -> Store:
     if not mark.is_file():
         raise InputError(f"{path}: not a fleet store; create one with servo-gateway fleet ingest {path} FILE...")
     data = json_object(text_of(mark, "ingest into another folder"), str(mark))
-    check_kind(data, SCHEMA, FLEET_KIND, str(mark))
+    check_kind(data, SCHEMA, str(mark), FLEET_KIND)
     return Store(path)
 
 

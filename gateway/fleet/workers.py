@@ -51,6 +51,20 @@ def workers(scheduler: str | None, count: int | None = None) -> Generator[Spread
     """
     distributed = library("distributed")
     if scheduler is not None:
+        if scheduler.startswith("tls://"):
+            tls = library("dask").config.get("distributed.comm.tls")
+            try:
+                # A client's certificate file may hold its key as well; then no key is stated.
+                usable = distributed.Security().get_connection_args("client").get("ssl_context")
+                reason = "" if usable else "the authority's file or the client's is not named"
+            except (OSError, ValueError) as error:
+                reason = str(error)
+            if reason:
+                files = f"ca-file {tls['ca-file']}, client.cert {tls['client']['cert']}, key {tls['client']['key']}"
+                raise ConfigError(
+                    f"--scheduler {scheduler}: the certificates ({files}) cannot be used for TLS: {reason}; name PEM"
+                    " files in the configuration of Dask (distributed.comm.tls: ca-file, client.cert, client.key)"
+                )
         place = scheduler.partition("://")[2] or scheduler
         host, _, port = place.rpartition(":")
         try:
@@ -71,7 +85,7 @@ def workers(scheduler: str | None, count: int | None = None) -> Generator[Spread
             )
         try:
             client = distributed.Client(cluster or scheduler, timeout=PATIENCE_S, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:  # without certificates Dask raises a TypeError
+        except (OSError, ValueError) as error:
             raise ConfigError(f"{_no_answer(str(scheduler))} ({error})") from error
         yield _Dask(client, scheduler or "the workers of this machine")
     finally:

@@ -76,13 +76,16 @@ def table_from_log(path: Path, stated: LogMap) -> tuple[str, int, tuple[str, ...
     """
     log, time_s, labels, values = _kept_rows(path, stated)
     if stated.rest is not None:
-        found = at_rest(time_s, _joined(values, stated.axes), labels, stated.rest)
-        if not found:
+        rows, poses, direction = at_rest(time_s, _joined(values, stated.axes), labels, stated.rest)
+        if not rows:
             raise InputError(
                 f"{path}: the arm is never at rest for {stated.rest.seconds:g} s within {stated.rest.within_rad:g} rad;"
                 " see [rest] of the map"
             )
-        return _imported(_at_rest(found, time_s, labels, values))
+        at = [each.start for each in rows]
+        means: dict[str, list[object]] = {"load": labels[at].tolist(), "pose": [*poses], "time_s": time_s[at].tolist()}
+        means |= {f"dir{axis + 1}": signs.tolist() for axis, signs in enumerate(direction.T)}
+        return _imported(means | _averages(rows, values))
     motion = _derived(log, stated, time_s, values)
     remarks: tuple[str, ...] = ()
     if motion is not None:
@@ -255,27 +258,18 @@ def _clock_remark(motion: SmoothedMotion) -> str:
     return f"{text}; speeds are taken on the even steps"
 
 
-def _at_rest(
-    found: list[Stretch], time_s: Floats, labels: NDArray[np.object_], values: dict[str, Floats]
-) -> dict[str, list[object]]:
+def _averages(rows: list[slice], values: dict[str, Floats]) -> dict[str, list[object]]:
     """Return one row per rest interval: means, standard deviations, and number of averaged rows."""
-    columns: dict[str, list[object]] = {
-        "load": [labels[each.rows.start] for each in found],
-        "pose": [each.pose for each in found],
-        "time_s": [float(time_s[each.rows.start]) for each in found],
-    }
-    columns |= {
-        f"dir{axis + 1}": [int(each.direction[axis]) for each in found] for axis in range(len(found[0].direction))
-    }
+    columns: dict[str, list[object]] = {}
     for name, cells in values.items():
         pattern = pattern_of(name)
         if pattern in ("qd{}_rad_s", "qdd{}_rad_s2", "dir{}", "n"):
             continue
-        columns[name] = [float(cells[each.rows].mean()) for each in found]
+        columns[name] = [float(cells[each].mean()) for each in rows]
         if pattern in _SPREADS:
             spread = _SPREADS[pattern].format(name[len(pattern.partition("{")[0])])
-            columns[spread] = [float(cells[each.rows].std(ddof=1)) for each in found]
-    return columns | {"n": [each.rows.stop - each.rows.start for each in found]}
+            columns[spread] = [float(cells[each].std(ddof=1)) for each in rows]
+    return columns | {"n": [each.stop - each.start for each in rows]}
 
 
 def _complete(name: str, values: Floats) -> list[object]:
@@ -356,17 +350,12 @@ def _against_angle(speed: Floats, angle: Floats | None, time_s: Floats) -> Itera
         yield f"is {ratio:.3g} times the change of the angle: {what}?"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stretch:
-    """Rest interval: rows, pose number, sign of each joint's last motion (N,); 0 = unknown."""
+def at_rest(
+    time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: LogRest
+) -> tuple[list[slice], list[int], NDArray[np.int8]]:
+    """Return the intervals (k) in which no joint moves, each with one load.
 
-    rows: slice
-    pose: int
-    direction: NDArray[np.int8]
-
-
-def at_rest(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: LogRest) -> list[Stretch]:
-    """Return the intervals in which no joint moves, each with one load.
+    They are given as rows, pose numbers, and signs (k, N) of each joint's last motion before; 0 = unknown.
 
     Parameters
     ----------
@@ -376,7 +365,9 @@ def at_rest(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: Lo
         Label of the load.
     rest : LogRest
     """
-    found: list[Stretch] = []
+    rows: list[slice] = []
+    poses: list[int] = []
+    directions: list[NDArray[np.int8]] = []
     known: list[Floats] = []
     for start, stop in _windows(time_s, q_rad, labels, rest):
         begin = int(np.searchsorted(time_s, time_s[start] + rest.settle_s))
@@ -384,15 +375,16 @@ def at_rest(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: Lo
         if end - begin < 2:
             continue
         mean = q_rad[begin:end].mean(axis=0)
-        pose = _pose(mean, known, rest.same_pose_rad)
+        rows.append(slice(begin, end))
+        poses.append(rest.first_pose + _pose(mean, known, rest.same_pose_rad))
         before_rad = q_rad[:start]
         signs = np.zeros(len(mean), dtype=np.int8)
         for joint, at_rad in enumerate(mean):
             elsewhere = np.flatnonzero(np.abs(before_rad[:, joint] - at_rad) > rest.within_rad)
             if len(elsewhere):
                 signs[joint] = np.sign(at_rad - before_rad[elsewhere[-1], joint])
-        found.append(Stretch(slice(begin, end), rest.first_pose + pose, signs))
-    return found
+        directions.append(signs)
+    return rows, poses, np.array(directions, dtype=np.int8)
 
 
 def _windows(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: LogRest) -> list[tuple[int, int]]:

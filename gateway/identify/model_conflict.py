@@ -141,9 +141,9 @@ def _common_factor(expected_nm: Floats, measured_nm: Floats, off: Floats) -> flo
     """Return the factor common to all axes that are compared, of the measured torques over the model's, if large."""
     expected, measured = (values[:, np.isfinite(off)] for values in (expected_nm, measured_nm))
     slope = np.sum(measured * expected, axis=0) / np.maximum(np.sum(expected**2, axis=0), 1e-12)
-    if not slope.size or (slope <= 0).any() or np.abs(np.mean(np.log(slope))) <= np.log(_FACTOR):
+    if not slope.size or (slope <= 0).any() or np.abs(np.log(np.median(slope))) <= np.log(_FACTOR):
         return None
-    return float(np.exp(np.mean(np.log(slope))))
+    return float(np.median(slope))
 
 
 def _corrections(robot: Robot, problem: RestProblem, knowledge: Knowledge, off: Floats) -> Iterator[_Correction]:

@@ -15,17 +15,17 @@ from drives.gate import ArmState
 from gateway.acquire.goto import Destination, destination, go, plan_transfer, remarks, transfer_from_here
 from gateway.acquire.passes import passes_of
 from gateway.acquire.plan import Plan
-from gateway.acquire.planning import asked_by, make_plan, plan_again, plan_asked, read_rest_plan
-from gateway.acquire.session import RecordingSummary, plan_of_recording
+from gateway.acquire.planning import asked_by, make_plan, plan_again, plan_asked
+from gateway.acquire.session import RecordingSummary, plan_of_recording, record_moving
 from gateway.acquire.session import record as record_plan
-from gateway.acquire.session import record_moving as record_passes
 from gateway.acquire.until import NextStep, record_until, search_of
 from gateway.acquire.until_goal import Goal
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
 from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
 from gateway.errors import InputError
-from gateway.excite.planning import read_moving_plan
+from gateway.excite.excitation import MovingPlan
+from gateway.excite.plan_file import read_plan
 from gateway.jobs.cell_context import CellContext
 from gateway.jobs.frame import Operator, begin_motion, flange_question
 from gateway.model.arm_model import arm_named, arm_robot
@@ -119,7 +119,7 @@ def record(
     plan: Path | None = None,
     trace: Path | None = None,
 ) -> RecordingSummary:
-    """Measure rest poses under one load: those of the cell, unless others are given.
+    """Measure under one load: the rest poses of the cell, unless others or excitation trajectories are given.
 
     Parameters
     ----------
@@ -134,24 +134,28 @@ def record(
     arm : str, optional
         Name of the arm, if the cell has several.
     resume : bool
-        Continue the file: measure only what is missing under this load.
+        Continue the file: measure only what is missing under this load. Excitations are continued by their plan.
     poses : sequence of tuples of joint angles [rad], sequence of int, or Path
         Poses to measure, numbers of poses of the file to measure again, or a result that proposes poses.
     plan : Path, optional
-        Plan file of rest poses to measure.
+        Plan file of rest poses to measure, or of excitation trajectories to drive.
     trace : Path, optional
         File of the frame log.
 
     Raises
     ------
     InputError, PlanRefused, FindingFailed, LimitExceeded, DriveError, KeyboardInterrupt
-        As `continued`, the planning functions, `begin_motion` and `gateway.acquire.session.record`.
+        As `continued`, the planning functions, `begin_motion`, and `record` or `record_moving` of
+        `gateway.acquire.session`.
     """
     loaded, config = context.loaded, arm_named(context.loaded, arm)
     numbers = () if isinstance(poses, Path) else tuple(pose for pose in poses if isinstance(pose, int))
     earlier = continued(context, recording, resume or bool(numbers))
-    if plan is not None:
-        chosen = plan_asked(loaded, config, read_rest_plan(plan, config)[0], earlier)
+    given = None if plan is None else read_plan(plan, config)
+    if isinstance(given, MovingPlan):
+        chosen = given
+    elif given is not None:
+        chosen = plan_asked(loaded, config, {pose.q_rad: pose.purpose for pose in given.poses}, earlier)
     elif isinstance(poses, Path):
         proposed_rad, taken = asked_by(poses, loaded, config)
         chosen = plan_asked(loaded, config, dict.fromkeys(proposed_rad, "fit"), earlier, taken)
@@ -160,16 +164,27 @@ def record(
             raise InputError(f"--poses {numbers[0]}: {recording} does not exist yet, so it has no pose of this number")
         chosen = plan_again(loaded, config, numbers, earlier)
     elif poses:
-        postures = [pose for pose in poses if not isinstance(pose, int)]
-        chosen = plan_asked(loaded, config, dict.fromkeys(postures, "fit"), earlier)
+        given_rad = [pose for pose in poses if not isinstance(pose, int)]
+        chosen = plan_asked(loaded, config, dict.fromkeys(given_rad, "fit"), earlier)
     elif earlier is None:
         chosen = make_plan(loaded, arm=config.name)
     else:
         chosen = plan_of_recording(loaded, earlier, config.name)
-    operator.planned(config.name, chosen)
+    if isinstance(chosen, MovingPlan):
+        context, stored = context.for_motion(config), None if earlier is None else earlier.arm(config.name)
+        driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(load)
+        period_s = context.loaded.cell.bus[config.bus].sync_period_s
+        passes = passes_of(chosen, load, driven, options.override, period_s)
+        operator.planned(config.name, passes)
+        duration_s, what = sum(one.duration_s for one in passes), "will move fast"
+    else:
+        operator.planned(config.name, chosen)
+        duration_s, what = chosen.duration_s / options.override, "will move"
     with context.opened(config, trace=trace) as opened:
-        options = begin_motion(context, (opened,), options, operator, also=flange_question(load))
-        with operator.progress(chosen.duration_s / options.override, f"load {load}") as listener:
+        options = begin_motion(context, (opened,), options, operator, what=what, also=flange_question(load))
+        with operator.progress(duration_s, f"load {load}") as listener:
+            if isinstance(chosen, MovingPlan):
+                return record_moving(opened, chosen, load, recording, earlier, (listener,), options)
             return record_plan(opened, chosen, load, recording, earlier, (listener,), options, again=bool(numbers))
 
 
@@ -211,47 +226,3 @@ def record_until_known(
         options = begin_motion(context, (opened,), options, operator, also=flange_question(load))
         with operator.progress(1.0, f"load {load}") as listener:
             return record_until(opened, search, recording, earlier, (listener,), options)
-
-
-def record_moving(
-    context: CellContext,
-    load: str,
-    recording: Path,
-    plan: Path,
-    operator: Operator,
-    options: MoveOptions,
-    *,
-    arm: str | None = None,
-    resume: bool = False,
-    trace: Path | None = None,
-) -> RecordingSummary:
-    """Drive the excitation trajectories of a plan under one load; what the file holds already is not driven again.
-
-    Parameters
-    ----------
-    context, load, recording, operator, options, arm, resume, trace
-        As of `record`.
-    plan : Path
-        File written by `plan --moving -o`.
-
-    Raises
-    ------
-    InputError, PlanRefused, FindingFailed, LimitExceeded, DriveError, KeyboardInterrupt
-        As `begin_motion` and `gateway.acquire.session.record_moving`.
-    """
-    config = arm_named(context.loaded, arm)
-    earlier = continued(context, recording, resume)
-    context = context.for_motion(config)
-    stored = None if earlier is None else earlier.arm(config.name)
-    chosen = read_moving_plan(plan)
-    if chosen.arm != config.name:
-        raise InputError(f"{plan}: is a plan for arm '{chosen.arm}', not for '{config.name}'; plan again for this arm")
-    driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(load)
-    period_s = context.loaded.cell.bus[config.bus].sync_period_s
-    passes = passes_of(chosen, load, driven, options.override, period_s)
-    operator.planned(config.name, passes)
-    also, what = flange_question(load), "will move fast"
-    with context.opened(config, trace=trace) as opened:
-        options = begin_motion(context, (opened,), options, operator, what=what, also=also)
-        with operator.progress(sum(one.duration_s for one in passes), f"load {load}") as listener:
-            return record_passes(opened, chosen, load, recording, earlier, (listener,), options)

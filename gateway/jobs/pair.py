@@ -57,7 +57,7 @@ def teach(
     resume: bool = False,
     store: Path | None = None,
     report: Callable[[TaughtPoint, int, int], None] = lambda _point, _done, _count: None,
-) -> tuple[TaughtPoint, ...]:
+) -> tuple[Path, tuple[TaughtPoint, ...]]:
     """Teach the first function of a pair, after confirmation: the force is reduced to zero at points of the path.
 
     Each point is stored at once.
@@ -77,8 +77,8 @@ def teach(
 
     Returns
     -------
-    tuple of TaughtPoint
-        All points, those of earlier calls included.
+    Path, tuple of TaughtPoint
+        File of the function, and all its points, those of earlier calls included.
 
     Raises
     ------
@@ -89,12 +89,12 @@ def teach(
     FindingFailed, LimitExceeded, DriveError, KeyboardInterrupt
         As `begin_motion` and `gateway.pair.session.teach_pair`.
     """
-    pair, kept = pair_files(context, store)
-    lesson = open_taught_path(pair, kept, resume)
-    what = f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points"
-    with _in_motion(context, pair, what, operator, options) as (link, moves):
-        teach_pair(link, pair, kept, lesson, report, PairMotionOptions(moves=moves))
-    return tuple(lesson.points)
+    pair, files = pair_files(context, store)
+    taught_path = open_taught_path(pair, files, resume)
+    what = f"move slowly along the path, to {pair.config.knots - len(taught_path.points)} points"
+    with _in_motion(context, pair, what, operator, options) as (link, move_options):
+        teach_pair(link, pair, files, taught_path, report, PairMotionOptions(moves=move_options))
+    return files.folder / "first.json", tuple(taught_path.points)
 
 
 def run_pair(
@@ -144,13 +144,14 @@ def run_pair(
     FindingFailed, LimitExceeded, DriveError, KeyboardInterrupt
         As `begin_motion` and `gateway.pair.session.run_pair`.
     """
-    pair, kept = pair_files(context, store)
-    row, at = embodiment_of(pair, embodiment), speed or pair.config.speed
-    _, origin = first_function(pair, kept, row, at)
-    announce(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}")
-    with _in_motion(context, pair, f"run {cycles} cycles at speed {at:g}", operator, options) as (link, moves):
-        motion = PairMotionOptions(speed=at, moves=moves)
-        return run_cycles(link, pair, kept, row, cycles, lambda cycle: report(cycle.summary), motion)
+    pair, files = pair_files(context, store)
+    row, speed = embodiment_of(pair, embodiment), speed or pair.config.speed
+    _, origin = first_function(pair, files, row, speed)
+    announce(f"{row.name}, {row.text}; function: {origin}; learning {'off' if files.frozen else 'on'}")
+    what = f"run {cycles} cycles at speed {speed:g}"
+    with _in_motion(context, pair, what, operator, options) as (link, move_options):
+        motion = PairMotionOptions(speed=speed, moves=move_options)
+        return run_cycles(link, pair, files, row, cycles, lambda cycle: report(cycle.summary), motion)
 
 
 def learn(
@@ -177,12 +178,12 @@ def learn(
     ConfigError, InputError
         As `pair_files`, or a stored function is damaged or of another path or cell.
     """
-    _, kept = pair_files(context, store)
+    _, files = pair_files(context, store)
     if action == "reset":
-        say("the learned function is deleted" if kept.forget() else "there was nothing to delete")
+        say("the learned function is deleted" if files.forget() else "there was nothing to delete")
     elif action != "status":
-        kept.freeze(action == "freeze")
+        files.freeze(action == "freeze")
     return LearnStatus(
-        learning="off" if kept.frozen else "on",
-        functions={stage: None if (stored := kept.load(stage)) is None else stored.origin for stage in STAGES},
+        learning="off" if files.frozen else "on",
+        functions={stage: None if (stored := files.load(stage)) is None else stored.origin for stage in STAGES},
     )

@@ -33,12 +33,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from gateway.acquire.planning import make_plan, read_rest_plan
+from gateway.acquire.plan import Plan
+from gateway.acquire.planning import make_plan
 from gateway.api.analysis import postures
 from gateway.cell.config import load_cell
 from gateway.diagnose import diagnose
 from gateway.errors import ConfigError, GatewayError, InputError
 from gateway.estimate import run as estimate_run
+from gateway.excite.plan_file import PlanFile, read_plan
 from gateway.identify.knowledge import WeighedLoad
 from gateway.model.arm_model import arm_named
 from gateway.model.effects import MISTAKES
@@ -47,6 +49,7 @@ from gateway.motion.workspace import workspace_of
 from gateway.pipeline.calibrate import Weight, calibrate
 from gateway.pipeline.calibrated import Calibrated
 from gateway.pipeline.inputs import AnalysisInputs, ModelRequest, collect_inputs, read_rows
+from gateway.result.names import REHEARSAL
 from gateway.result.numerals import TWO_SIDED_95
 from gateway.result.result import LoadResult
 
@@ -125,12 +128,10 @@ def rehearse(
     places = _simulated(cell, config.name, {})
     if missing := set(effects) - set(places):
         raise InputError(f"effect '{min(missing)}' cannot be rehearsed; choose from {', '.join(sorted(places))}")
-    if plan_file is None:
-        plan = make_plan(loaded, arm=config.name)
-        q_rad, duration_s = [pose.q_rad for pose in plan.poses if pose.purpose == "fit"], plan.duration_s
-    else:
-        postures, duration_s = read_rest_plan(plan_file, config)
-        q_rad = [posture for posture, purpose in postures.items() if purpose == "fit"]
+    plan = make_plan(loaded, arm=config.name) if plan_file is None else read_plan(plan_file, config)
+    if not isinstance(plan, Plan | PlanFile):
+        raise InputError(f"{plan_file}: holds excitation trajectories; rehearse takes a plan of rest poses")
+    q_rad, duration_s = [pose.q_rad for pose in plan.poses if pose.purpose == "fit"], plan.duration_s
     about = collect_inputs(ModelRequest(cell=cell, arm=config.name, calibrated=False), ())
     asked = {
         "q_rad": [list(posture) for posture in q_rad],
@@ -141,7 +142,7 @@ def rehearse(
     }
     head: dict[str, Any] = {
         "schema": 1,
-        "kind": "rehearsal",
+        "kind": REHEARSAL,
         "robot": about.model.name,
         "arm": config.name,
         "cell_sha256": hashlib.sha256(loaded.text.encode()).hexdigest(),

@@ -84,6 +84,7 @@ class Effect:
     at_rest, in_motion : functions that return the candidates for the samples, at every location and in every form
     by_residual : candidates in motion are derived from the residual, again at each step
     drawn : wrong link parameters of the robot model can imitate it
+    by_odds : the odds alone decide it, not left-out samples
     friction : it is friction, which has many forms in a gear
     mistake : error and corrective action, for a commissioning mistake
     parameter_texts : descriptions of parameters whose key is not self-explanatory
@@ -98,6 +99,7 @@ class Effect:
     in_motion: Callable[[MovingRows, MotionSetup], Iterable[Term]] = nowhere
     by_residual: bool = False
     drawn: bool = False
+    by_odds: bool = False
     friction: bool = False
     mistake: tuple[str, str] | None = None
     parameter_texts: Mapping[str, str] = field(default_factory=dict)

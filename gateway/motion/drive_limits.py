@@ -122,11 +122,9 @@ def needed_torque_nm(
         return np.abs(rows @ bodies).max(axis=2) * lost
 
     def stopping_nm(q_rad: Floats) -> Floats:
-        still, total = np.zeros_like(q_rad), np.zeros((*q_rad.shape, bodies.shape[1]))
-        for axis, deceleration in enumerate(decel_rad_s2):
-            turned = np.tile(np.eye(len(decel_rad_s2))[axis] * deceleration, (len(q_rad), 1))
-            total += np.abs(regressor(workspace.robot, q_rad, still, turned, np.zeros(3)) @ bodies)
-        return total.max(axis=2)
+        still, turned = np.zeros_like(q_rad), [np.broadcast_to(row, q_rad.shape) for row in np.diag(decel_rad_s2)]
+        rows = (regressor(workspace.robot, q_rad, still, qdd_rad_s2, np.zeros(3)) for qdd_rad_s2 in turned)
+        return sum((np.abs(each @ bodies) for each in rows), np.zeros(())).max(axis=2)
 
     middle = (workspace.lower_rad + workspace.upper_rad) / 2
     half = np.minimum((workspace.upper_rad - workspace.lower_rad) / 2, np.pi)
@@ -151,8 +149,6 @@ def dry_friction_nm(arm: ArmConfig, known: Sequence[AxisConstants]) -> Floats:
 
 def links_with_loads(workspace: Workspace, arm: ArmConfig, loads: Sequence[FeedLoad]) -> Floats | None:
     """Return the link parameters (10 N, 1 + loads) without and with each load; None where a link is unknown."""
-    if workspace.links is None:
-        return None
     try:
         links = drawn_parameters(workspace.robot, arm)
     except ConfigError:

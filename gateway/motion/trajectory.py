@@ -33,6 +33,12 @@ class MotionLimits:
     jerk_rad_s3: np.ndarray
     deceleration_rad_s2: np.ndarray | None = None
 
+    def at_rate(self, rate: float) -> MotionLimits:
+        """Return the limits of the same motions in which time passes at a rate in (0, 1]."""
+        fall = None if self.deceleration_rad_s2 is None else rate**2 * self.deceleration_rad_s2
+        rise, jerk = rate**2 * self.acceleration_rad_s2, rate**3 * self.jerk_rad_s3
+        return MotionLimits(rate * self.speed_rad_s, rise, jerk, fall)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:

@@ -25,7 +25,7 @@ from gateway.errors import LimitExceeded
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.identified import AxisConstants, Known
 from gateway.feedforward.law import TURN_ROUND_RAD
-from gateway.identify.links import body_parameters
+from gateway.identify.links import link_values
 from gateway.model.regressor import gravity_regressor
 from gateway.motion.arm import Arm
 from gateway.motion.reactions import ARM_RULES
@@ -101,13 +101,9 @@ class OwnTorque:
         self._viscous = _of(used, [axis.viscous_nm_s_rad for axis in known])
         self._rotor = _of(used, [axis.rotor_kg_m2 for axis in known])
         self._links: ArmDynamics | None = None
-        robot = workspace.robot
         # not where a link is unknown, or the cell file distrusts the masses
-        if workspace.links is not None and np.isfinite(robot.inertia_kg_m2).all():
-            bodies = [
-                body_parameters(*link) for link in zip(robot.mass_kg, robot.com_m, robot.inertia_kg_m2, strict=True)
-            ]
-            self._links = ArmDynamics(robot, np.concatenate(bodies), np.zeros(3))
+        if workspace.links is not None and np.isfinite(workspace.robot.inertia_kg_m2).all():
+            self._links = ArmDynamics(workspace.robot, link_values(workspace.robot).ravel(), np.zeros(3))
         peak = np.fmax(self._coulomb, [axis.breakaway_nm for axis in known])
         weight = np.abs(axes.coupling)
         identified = ~(weight[~used] > 0.0).any(axis=0)

@@ -9,7 +9,8 @@ import numpy as np
 
 from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError, PlanRefused, WrongPlace
-from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
+from gateway.identify.links import body_parameters, link_values
+from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor, regressor
 from gateway.model.robot import Robot
 from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_of
 from gateway.motion.joint_path import angles, path_points, path_positions, postures_at
@@ -25,6 +26,12 @@ MOST_OUTSIDE_RAD = 0.35
 INWARD_MARGIN_RAD = 0.02
 #: Half-width of a friction band as a share of the torque limit, until a recording has measured it.
 BAND_SHARE = 0.013
+#: Acceleration that the torque limit of a motor gives to its own rotor, at the joint; assumed [rad/s2].
+ROTOR_ACCELERATION_RAD_S2 = 30.0
+#: Share of each torque limit for holding and accelerating the arm: the rest is for friction and errors of the masses.
+TORQUE_SHARE_MOVING = 0.95
+#: Least and largest share of each torque limit for accelerating it: a larger jump of the torque counts as a contact.
+TORQUE_SHARE_ACCELERATING = (0.02, 0.2)
 #: Speed of that motion: share of the speed limit, and upper limit [rad/s].
 INWARD_SHARE = 0.1
 INWARD_SPEED_RAD_S = 0.05
@@ -34,8 +41,6 @@ TOO_CLOSE = f"the arm passes an obstacle at less than {500 * PATH_RESOLUTION_M:g
 #: A motion out of a violation is searched with one joint: step and largest motion [rad].
 _STEP_RAD: Final = 0.02
 _MOST_RAD: Final = 1.0
-#: Steps per batch.
-_AT_ONCE: Final = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,6 +181,23 @@ class Workspace:
         if self.max_load is not None:
             torque = np.maximum(torque, np.abs(rows @ self.links + rows[:, :, LOAD_COLUMNS] @ self.max_load))
         return torque / self.efficiency
+
+    def moving_share(self, q_rad: np.ndarray, qd_rad_s: np.ndarray, qdd_rad_s2: np.ndarray) -> float:
+        """Return the largest share of the usable torque that speeds and accelerations (n, N) take along a path.
+
+        Usable is what holding the arm leaves of `TORQUE_SHARE_MOVING`, within `TORQUE_SHARE_ACCELERATING`. The heaviest
+        load is mounted. A link of unknown inertia takes none; 0 where the masses are not known.
+        """
+        holding = self.holding_torque(q_rad)
+        if holding is None:
+            return 0.0
+        body = np.nan_to_num(link_values(self.robot)).ravel()
+        if self.max_load is not None:
+            body[-10:] += body_parameters(self.max_load[0], self.max_load[1:] / self.max_load[0], np.zeros((3, 3)))
+        carried = np.abs(regressor(self.robot, q_rad, qd_rad_s, qdd_rad_s2, np.zeros(3)) @ body)
+        moving = carried / self.efficiency + np.abs(qdd_rad_s2) * self.torque_nm / ROTOR_ACCELERATION_RAD_S2
+        least, most = np.array(TORQUE_SHARE_ACCELERATING)[:, None] * self.torque_nm
+        return float((moving / np.clip(TORQUE_SHARE_MOVING * self.torque_nm - holding, least, most)).max(initial=0.0))
 
     def path_clear(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
         """Return True for each straight motion from start (n, N) to end (n, N) that violates no limit: bool (n,).
@@ -358,15 +380,14 @@ def smallest_exit(workspace: Workspace, q_rad: np.ndarray) -> str:
     axes = workspace.robot.axes
     signs = np.concatenate([np.eye(axes), -np.eye(axes)])
     sizes = np.arange(_STEP_RAD, _MOST_RAD + _STEP_RAD / 2, _STEP_RAD)
-    for begin in range(0, len(sizes), _AT_ONCE):
-        turns = (sizes[begin : begin + _AT_ONCE, None, None] * signs).reshape(-1, axes)
-        free = workspace.feasible(q_rad + turns)
-        if free.any():
-            turn = turns[int(np.argmax(free))]
-            joint = int(np.argmax(np.abs(turn)))
-            by = f"joint {joint + 1} by {turn[joint]:+.2f} rad"
-            return f" (with the geometry of the cell file, {by} is the smallest motion out)"
-    return ""
+    turns = (sizes[:, None, None] * signs).reshape(-1, axes)
+    free = workspace.feasible(q_rad + turns)
+    if not free.any():
+        return ""
+    turn = turns[int(np.argmax(free))]
+    joint = int(np.argmax(np.abs(turn)))
+    by = f"joint {joint + 1} by {turn[joint]:+.2f} rad"
+    return f" (with the geometry of the cell file, {by} is the smallest motion out)"
 
 
 def refuse_start(workspace: Workspace, q_rad: np.ndarray, arm: str) -> None:

@@ -10,25 +10,24 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, Final, cast
 
+from drives.draft.answers import ADVICE, ProfileAnswers
+from drives.draft.questions import Question, answer_form
 from drives.errors import ProfileError
 from drives.profile import is_assumed
 from drives.profile_file import find_profile, list_profiles
 from drives.toml_lines import key_lines
 from drives.toml_text import parse_toml, toml_string
-from drives.validation import not_toml
-from gateway.cell import plausible
-from gateway.cell.plausible import Found, beyond, speeds
+from drives.validation import Unfit, fitted, not_toml
+from gateway.cell.config import ArmConfig, AxisConfig, BusConfig, Cell, DhTable
 from gateway.errors import ConfigError
 from gateway.model.load_bounds import NO_ARM, LoadBounds
 from gateway.newcell import questions
-from gateway.newcell.forms import SOURCE, VALUE
-from gateway.newcell.questions import CellQuestion
+from gateway.newcell.forms import SOURCE, VALUE, plain_text, with_source
 
 ASSUMED: Final = "assumed"
 #: Instead of a URDF: the arm is described by Denavit-Hartenberg parameters.
@@ -58,30 +57,10 @@ class GivenAnswer:
     folder: Path
 
 
-@dataclass(frozen=True, slots=True)
-class OpenQuestion:
-    """A question at the terminal.
-
-    Attributes
-    ----------
-    question : CellQuestion
-    offer : Answer or None
-        Value used if the input is empty.
-    number, most : int
-        Number of this question, and the maximum; known values are not asked.
-    read : callable
-        TOML value as typed -> the answer; raises ValueError with a message.
-    """
-
-    question: CellQuestion
-    offer: Answer | None
-    number: int
-    most: int
-    read: Callable[[Any], Answer]
-
-
-#: Asks at the terminal; None = the proposed value is used.
-Ask = Callable[[OpenQuestion], Answer | None]
+#: Asks at the terminal: question, value used if the input is empty, number of this question, largest number of
+#: questions (known values are not asked), and the reader of a typed TOML value, which raises ValueError with a message.
+#: None = the proposed value is used.
+Ask = Callable[[Question, Answer | None, int, int, Callable[[Any], Answer]], Answer | None]
 
 
 class CellAnswers:
@@ -124,7 +103,7 @@ class CellAnswers:
         self.said: dict[str, Answer] = {}
         self.bounds = NO_ARM
 
-    def settle(self, wanted: Sequence[tuple[CellQuestion, Answer | None]], axes: int = 0) -> None:
+    def settle(self, wanted: Sequence[tuple[Question, Answer | None]], axes: int = 0) -> None:
         """Resolve questions, each with a proposed value.
 
         Raises
@@ -140,17 +119,17 @@ class CellAnswers:
                 problems.append(str(error))
                 continue
             if answer is None:
-                problems.append(f"{self._missing_in}: {question.key} is missing: {question.asks} ({question.how})")
+                problems.append(f"{self._missing_in}: {question.key} is missing: {question.asks} ({question.ways[0]})")
                 continue
             self.taken[question.key] = answer
         if problems:
             raise ConfigError.of(problems)
 
-    def value(self, question: CellQuestion) -> Any:
+    def value(self, question: Question) -> Any:
         """Return the value of a resolved question."""
         return self.taken[question.key].value
 
-    def _answer(self, question: CellQuestion, offer: Answer | None, axes: int) -> Answer | None:
+    def _answer(self, question: Question, offer: Answer | None, axes: int) -> Answer | None:
         stated = self._explicit.get(question.key)
         if stated is not None:
             answer = self._read(question, stated, axes)
@@ -165,7 +144,7 @@ class CellAnswers:
         self.said[question.key] = answer
         return answer
 
-    def _kept(self, question: CellQuestion, axes: int) -> Answer | None:
+    def _kept(self, question: Question, axes: int) -> Answer | None:
         """Return the answer of an earlier run, if still valid."""
         kept = self._resumed.get(question.key)
         try:
@@ -173,7 +152,7 @@ class CellAnswers:
         except ValueError:
             return None
 
-    def _person(self, ask: Ask, question: CellQuestion, offer: Answer | None, axes: int) -> Answer | None:
+    def _person(self, ask: Ask, question: Question, offer: Answer | None, axes: int) -> Answer | None:
         """Ask at the terminal; the answer is checked against files and profiles at once."""
         here = Path.cwd()
         self._asked += 1
@@ -184,11 +163,11 @@ class CellAnswers:
         def read(value: Any) -> Answer:
             return self._verified(question, GivenAnswer(value, "", here), axes)
 
-        answer = ask(OpenQuestion(question, offer, self._asked, self._asked + len(left), read))
+        answer = ask(question, offer, self._asked, self._asked + len(left), read)
         self.typed += answer is not None
         return answer
 
-    def _verified(self, question: CellQuestion, stated: GivenAnswer, axes: int) -> Answer:
+    def _verified(self, question: Question, stated: GivenAnswer, axes: int) -> Answer:
         """Return an answer after checking its files; profile names are completed.
 
         Raises
@@ -209,21 +188,20 @@ class CellAnswers:
             raise ValueError(f"{question.key}: file {answer.value} not found")
         return answer
 
-    def _read(self, question: CellQuestion, stated: GivenAnswer, axes: int) -> Answer:
-        value, source = stated.value, UNSOURCED
-        if isinstance(value, dict) and set(cast("dict[str, Any]", value)) == {VALUE, SOURCE}:
-            value, source = value[VALUE], str(cast("dict[str, Any]", value)[SOURCE])
+    def _read(self, question: Question, given: GivenAnswer, axes: int) -> Answer:
+        value, source = with_source(given.value, question.form)
+        where = f"{given.where}: " if given.where else ""
         try:
             answer = question.form(value, axes)
         except ValueError as error:
-            where = f"{stated.where}: " if stated.where else ""
             raise ValueError(f"{where}{question.key} {error}: {question.asks}") from error
         gears = self.taken.get(questions.GEAR_RATIO.key)
-        for slip in slips(question.key, answer, gears.value if gears is not None else (), self.bounds):
-            raise ValueError(f"{stated.where}: {slip}" if stated.where else slip)
+        wrong = refusals(question.key, answer, gears.value if gears is not None else (), self.bounds)
+        if wrong:
+            raise ValueError(f"{where}{'; '.join(wrong)}")
         if question.key in questions.FILES:
-            answer = _placed(answer, stated.folder)
-        return Answer(answer, source)
+            answer = _placed(answer, given.folder)
+        return Answer(answer, source or UNSOURCED)
 
 
 def _placed(value: Any, folder: Path) -> Any:
@@ -252,30 +230,56 @@ def completed_profile(name: str) -> str:
     raise ValueError(f"profile: '{stem}' is neither a built-in profile nor a file; {said}")
 
 
-def read_answers(path: Path) -> dict[str, GivenAnswer]:
-    """Return the answers of a file.
+def given_answers(path: Path | None, typed: Mapping[str, str], known: Collection[str]) -> dict[str, GivenAnswer]:
+    """Return the answers of a file, and of --answer, which take precedence.
 
     Raises
     ------
     ConfigError
-        The file cannot be read, is not TOML, or has unknown keys; the error lists all of them.
+        The file cannot be read, is not TOML, or there are unknown keys; the error lists all of them.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}; give an answer file") from error
-    try:
-        table = parse_toml(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError.of(not_toml(text, error).messages(str(path))) from error
-    known = questions.KEYS
-    lines = key_lines(text)
-    strange = [f"{path} line {lines[key,]}: unknown key {key}" for key in table if key not in known]
-    if strange:
-        strange[-1] += f"; known keys: {', '.join(known)}"
-        raise ConfigError.of(strange)
-    folder = path.resolve().parent
-    return {key: GivenAnswer(value, f"{path} line {lines[key,]}", folder) for key, value in table.items()}
+    given: dict[str, GivenAnswer] = {}
+    if path is not None:
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: cannot be read: {error}; give an answer file") from error
+        try:
+            table = parse_toml(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError.of(not_toml(text, error).messages(str(path))) from error
+        lines, folder = key_lines(text), path.resolve().parent
+        given = {key: GivenAnswer(value, f"{path} line {lines[key,]}", folder) for key, value in table.items()}
+    given |= {key: GivenAnswer(text, f"--answer {key}", Path.cwd()) for key, text in typed.items()}
+    problems: list[str] = []
+    for key in given:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1)
+            advice = f"write {near[0]}" if near else f"known keys: {', '.join(known)}"
+            problems.append(f"{given[key].where}: unknown key {key}; {advice}")
+    if problems:
+        raise ConfigError.of(problems)
+    return given
+
+
+def profile_answers(path: Path | None, typed: Mapping[str, str]) -> ProfileAnswers:
+    """Return the answers about a drive, of a file and of --answer.
+
+    Raises
+    ------
+    ConfigError
+        As `given_answers`, or invalid answers; the error lists all of them.
+    """
+    answers: dict[str, Any] = {}
+    problems: list[str] = []
+    for key, reply in given_answers(path, typed, ProfileAnswers.model_fields).items():
+        try:
+            answers[key] = answer_form(key)(plain_text(reply.value), 0)
+        except ValueError as error:
+            problems.append(f"{reply.where}: {error}; {ADVICE}")
+    if problems:
+        raise ConfigError.of(problems)
+    return ProfileAnswers(**answers)
 
 
 def answers_text(answers: CellAnswers, files: Callable[[str], str]) -> str:
@@ -326,27 +330,22 @@ def toml_value(value: Any) -> str:
     return "[" + ", ".join(toml_value(part) for part in value) + "]"
 
 
-Check = Callable[[Any], Iterable[Found]]
-
-_CHECKS: Final[Mapping[str, Check]] = {
-    questions.GEAR_RATIO.key: lambda values: map(plausible.ratio, values),
-    questions.POSITION_LIMIT.key: lambda pairs: (beyond("joint angle", "position_limit_rad", *pair) for pair in pairs),
-    questions.ZERO_OFFSET.key: lambda values: [beyond("joint angle", "zero_offset_rad", *values)],
-    questions.SPEED_LIMIT.key: lambda values: [speeds(values)],
-    questions.FLANGE.key: lambda values: [beyond("length", "flange_xyz_m", *values)],
-    questions.MAX_LOAD_COM.key: lambda values: [beyond("length", "max_load_com_m", *values)],
-    questions.FLANGE_TURN.key: lambda values: [beyond("angle of a frame", "flange_rpy_rad", *values)],
-    questions.MOUNTING.key: lambda values: [plausible.gravity(values)],
-    questions.TORQUE_LIMIT.key: lambda values: (beyond("torque", "torque_limit_nm", v) for v in values),
-    "dh_alpha_rad": lambda values: [beyond("joint angle", "dh_alpha_rad", *values)],
-    "dh_theta_offset_rad": lambda values: [beyond("joint angle", "dh_theta_offset_rad", *values)],
-    "dh_a_m": lambda values: [beyond("length", "dh_a_m", *values)],
-    "dh_d_m": lambda values: [beyond("length", "dh_d_m", *values)],
+#: A plausible axis, of a motor without a gear: it takes every torque constant of a motor.
+_AXIS: Final[Mapping[str, Any]] = {
+    "profile": "profile",
+    "torque_constant_nm_per_a": {VALUE: 0.1, SOURCE: ASSUMED},
+    "gear_ratio": {VALUE: 1, SOURCE: ASSUMED},
+    "gear_efficiency": {VALUE: 1, SOURCE: ASSUMED},
+    "position_limit_rad": (-1, 1),
+    "speed_limit_rad_s": 1,
+    "torque_limit_nm": 1,
 }
+#: Keys of answers that have another name in the cell file.
+_RENAMED: Final = {questions.NODES.key: "node_id", questions.MOUNTING.key: "gravity_m_s2"}
 
 
-def slips(key: str, value: Any, ratio: Iterable[float], bounds: LoadBounds) -> Iterator[str]:
-    """Return the error of an answer and a proposed correction; empty if it is plausible.
+def refusals(key: str, value: Any, ratio: Sequence[float], bounds: LoadBounds) -> list[str]:
+    """Return what the model of the cell file refuses about an answer; empty if nothing.
 
     Parameters
     ----------
@@ -354,18 +353,43 @@ def slips(key: str, value: Any, ratio: Iterable[float], bounds: LoadBounds) -> I
         Key of the question.
     value
         Value in the format of the question.
-    ratio : iterable of float
+    ratio : sequence of float
         Known gear ratios, for the check of a torque constant.
     bounds : LoadBounds
         Largest plausible load, if known.
     """
-    if key in (questions.RATED_LOAD.key, questions.MAX_LOAD.key):
-        wrong = "" if value is None else bounds.violation(value, ())
-        if wrong:
-            yield f"{key}: {wrong}"
-        return
-    if key == questions.TORQUE_CONSTANT.key:
-        found = [plausible.torque_constant(each, gear) for each, gear in zip(value, ratio, strict=False)]
-    else:
-        found = _CHECKS[key](value) if key in _CHECKS else []
-    yield from (message for _, message in chain.from_iterable(found))
+    if value is None or value == () or key == questions.BUS.key:
+        return []
+    wrong = bounds.violation(value, ()) if key in (questions.RATED_LOAD.key, questions.MAX_LOAD.key) else ""
+    if wrong:
+        return [f"{key}: {wrong}"]
+    name = _RENAMED.get(key, key).removeprefix("dh_")
+    per_axis = isinstance(value, tuple) and (name in AxisConfig.model_fields or name in DhTable.model_fields)
+    axis = [{**_AXIS, "node_id": number + 1} for number in range(len(value) if per_axis else 1)]
+    arm: dict[str, Any] = {"name": "main", "bus": "a", "robot": "arm.urdf", "gravity_m_s2": (0, 0, -9.80665)}
+    arm["axis"] = axis
+    bus: dict[str, Any] = {"interface": "virtual", "channel": "a"}
+    cell: dict[str, Any] = {"name": "cell", "bus": {"a": bus}, "arm": [arm]}
+    if name in AxisConfig.model_fields:
+        for number, (row, part) in enumerate(zip(axis, value, strict=True)):
+            if number < len(ratio):
+                row["gear_ratio"] = {VALUE: ratio[number], SOURCE: ASSUMED}
+            row[name] = _of_model(key, part)
+    elif name in DhTable.model_fields:
+        rows = dict.fromkeys(("alpha_rad", "a_m", "d_m", "theta_offset_rad"), (0.0,) * len(axis))
+        arm |= {"robot": None, "dh": {"convention": "modified", **rows, name: value}}
+    for model, table in ((BusConfig, bus), (Cell, cell), (ArmConfig, arm)):
+        if name in model.model_fields:
+            table[name] = _of_model(key, value)
+            break
+    try:
+        fitted(Cell, cell)
+    except Unfit as error:
+        return list(dict.fromkeys(problem.what for problem in error.problems if name in problem.path))
+    return []
+
+
+def _of_model(key: str, value: Any) -> Any:
+    """Return an answer as its field in the cell file has it."""
+    number = int(value) if isinstance(value, float) and value.is_integer() else value
+    return {VALUE: number, SOURCE: ASSUMED} if key in questions.SOURCED else number

@@ -15,16 +15,6 @@ from gateway.newcell.offers import PLACEHOLDER
 
 ARM: Final = "main"
 BUS: Final = "a"
-#: Keys of an axis with a source in a table; other keys have it as a comment.
-_SOURCED: Final = (questions.TORQUE_CONSTANT, questions.GEAR_RATIO, questions.GEAR_EFFICIENCY)
-_PLAIN: Final = (
-    questions.POSITION_SIGN,
-    questions.TORQUE_SIGN,
-    questions.ZERO_OFFSET,
-    questions.POSITION_LIMIT,
-    questions.SPEED_LIMIT,
-    questions.TORQUE_LIMIT,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +45,7 @@ def left_over(draft: Draft) -> tuple[Left, ...]:
     for question in questions.ALL:
         answer = draft.answers.taken.get(question.key)
         if answer is not None and answer.guessed:
-            found.append(Left(question.key, short(answer.value), answer.source, question.how))
+            found.append(Left(question.key, short(answer.value), answer.source, question.ways[0]))
     found += [Left("", "", remark, "") for remark in draft.remarks]
     return tuple(found)
 
@@ -160,10 +150,12 @@ def _axis(draft: Draft, axis: int, files: Callable[[str], str]) -> list[str]:
     name = profile.value[axis]
     shown = name if name in list_profiles() else files(name)
     lines.append(f"profile = {toml_value(shown)}{_remark(profile)}")
-    for question in (*_SOURCED, *_PLAIN):
-        answer = Answer(answers.taken[question.key].value[axis], answers.taken[question.key].source)
-        sourced = f"{question.key} = {_sourced(answer.value, answer.source)}"
-        lines.append(sourced if question in _SOURCED else _line(question.key, answer))
+    for key in questions.FOR_ALL:
+        answer = Answer(answers.taken[key].value[axis], answers.taken[key].source)
+        if key in questions.SOURCED:
+            lines.append(f"{key} = {_sourced(answer.value, answer.source)}")
+        elif key != questions.PROFILE.key:
+            lines.append(_line(key, answer))
     torque_source = answers.taken[questions.TORQUE_LIMIT.key].source
     if torque_source.startswith(PLACEHOLDER):
         lines.append("# Placeholder: motion is refused until torque_limit_nm is corrected and its source is stated.")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 from drives.bus_spec import BusSpec
 from drives.profile import DriveProfile
@@ -18,28 +17,12 @@ from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf
 from gateway.model.urdf_text import read_urdf
 from gateway.newcell import offers, questions
 from gateway.newcell.answers import ASSUMED, DH, Answer, CellAnswers
-from gateway.newcell.nodes import Address, Read, SeenNode, addresses, of_axes
+from gateway.newcell.nodes import BusEyes, SeenNode, addresses, of_axes
 from gateway.newcell.offers import Axes
 
 DEFAULT_BUS = "socketcan:can0"
 #: Number of data sheet remarks printed.
 REMARKS_SHOWN = 10
-
-
-class Eyes(Protocol):
-    """Access of the interview to drives and their files."""
-
-    def nodes(self, spec: BusSpec) -> tuple[SeenNode, ...]:
-        """Return the drives found on a bus."""
-        ...
-
-    def values(self, spec: BusSpec, wanted: Mapping[int, Mapping[Address, str]]) -> dict[int, dict[Address, Read]]:
-        """Read objects of some nodes."""
-        ...
-
-    def files(self, paths: Sequence[Path]) -> tuple[SeenNode, ...]:
-        """Return the devices described by EDS and DCF files."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +55,13 @@ class Draft:
     looked: bool
 
 
-def interview(answers: CellAnswers, eyes: Eyes, name: str, report: Callable[[str], None]) -> Draft:
+def interview(answers: CellAnswers, eyes: BusEyes, name: str, report: Callable[[str], None]) -> Draft:
     """Determine all values of a cell file.
 
     Parameters
     ----------
     answers : CellAnswers
-    eyes : Eyes
+    eyes : BusEyes
     name : str
         Default name of the cell.
     report : callable
@@ -185,7 +168,7 @@ def dh_table(answers: CellAnswers) -> DhTable:
 def _drives(
     answers: CellAnswers,
     robot: Robot,
-    eyes: Eyes | None,
+    eyes: BusEyes | None,
     seen: tuple[BusSpec, Sequence[SeenNode], Sequence[SeenNode]],
 ) -> tuple[Axes, list[SeenNode | None]]:
     """Determine node ids, profiles and device data."""

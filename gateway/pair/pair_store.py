@@ -1,8 +1,10 @@
 """Files of a pair beside its cell file: points, functions, learning state, runs for the report.
 
-CELL.pair/points.json    taught points, so that teaching can be resumed CELL.pair/first.json     function through the
-taught points CELL.pair/second.json    function learned on the run CELL.pair/back.json      the same of the return
-    CELL.pair/speed-X.json   the last one of each speed setting
+CELL.pair/points.json    taught points, so that teaching can be resumed
+CELL.pair/first.json     function through the taught points
+CELL.pair/second.json    function learned on the run
+CELL.pair/back.json      the same of the return
+CELL.pair/speed-X.json   the last one of each speed setting
 CELL.pair/state.json     learning on or off
 CELL.pair/run-NAME.json  cycles of the last run of an embodiment
 """

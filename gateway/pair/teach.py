@@ -379,7 +379,7 @@ def taught_path_from_json(text: str, where: str) -> TaughtPath:
     """
     try:
         data = json_object(text, where)
-        check_kind(data, SCHEMA, POINTS_KIND, where)
+        check_kind(data, SCHEMA, where, POINTS_KIND)
         stored = decoded(TaughtPathFile, data, where)
     except InputError as error:
         raise InputError(f"{error}; {AFRESH}") from error

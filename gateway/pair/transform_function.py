@@ -206,7 +206,7 @@ def from_json(text: str, where: str) -> StoredFunction:
         Not such a file, a key missing or of the wrong type, knots out of order, or invalid rotation matrices.
     """
     data = json_object(text, where)
-    check_kind(data, SCHEMA, FUNCTION_KIND, where)
+    check_kind(data, SCHEMA, where, FUNCTION_KIND)
     stored = decoded(StoredFunction, data, where)
     if stored.units != KNOT_UNITS:
         raise InputError(f"{where}: units {stored.units!r}, expected {KNOT_UNITS}")

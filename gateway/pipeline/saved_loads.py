@@ -15,29 +15,27 @@ from gateway.result.result import Result
 from gateway.result.values import plain_values
 
 
-def save_loads(cell: Path, result: Result, file: Path, replaces: bool) -> Path:
+def save_loads(cell: Path, result: Result, file: Path) -> Path:
     """Write the loads of a result into the library beside the cell file, and return its path.
+
+    An entry of the same label is replaced.
 
     Parameters
     ----------
     cell, file : Path
         Cell file, and the file of the result.
     result : Result
-    replaces : bool
-        Replace the entry of a label that is there.
 
     Raises
     ------
     InputError
-        The result holds no load with a mass, a label is there already, or the library was edited.
+        The result holds no load with a mass, or the library was edited.
     """
     path, about = library_of(cell), result.data or Drawn()
     entries = read_library(path) if path.exists() else {}
     loads = [load for load in result.loads if math.isfinite(load.mass_kg)]
-    taken = [load.label for load in loads if load.label in entries]
-    if not loads or (taken and not replaces):
-        wrong = f"holds load '{taken[0]}' already; replace it with --force" if loads else "gets no load of this result"
-        raise InputError(f"{path}: {wrong}. The result is in {file}")
+    if not loads:
+        raise InputError(f"{path}: gets no load of this result. The result is in {file}")
     certificate, place = file.with_suffix(".xml"), os.path.relpath(file.resolve(), path.resolve().parent)
     origin = {"result": Path(place).as_posix(), "result_sha256": file_sha256(file), "arm": about.arm}
     origin |= {"certificate": certificate.name if certificate.is_file() else None, "created": about.created}

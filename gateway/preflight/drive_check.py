@@ -94,12 +94,6 @@ def live_addresses(profile: DriveProfile) -> frozenset[Address]:
     return frozenset(named | used_objects(profile).keys() | {(each.index, each.subindex) for each in shown})
 
 
-def needed_addresses(profile: DriveProfile) -> frozenset[Address]:
-    """Return the objects of `addresses` without which a drive is not moved; the others only inform."""
-    names = ("statusword", "position", *NEEDED, *profile.loss_objects)
-    return frozenset(_references(profile)) | {OBJECTS[name].address for name in names}
-
-
 def read_objects(sdo: SdoClient, profile: DriveProfile) -> tuple[Readings, dict[Address, str]]:
     """Read every relevant object.
 
@@ -115,7 +109,10 @@ def read_objects(sdo: SdoClient, profile: DriveProfile) -> tuple[Readings, dict[
     SdoError
         The drive does not answer, or refuses an object that is needed.
     """
-    needed, readings, unread = needed_addresses(profile), dict[Address, int | None](), dict[Address, str]()
+    # without these a drive is not moved; the others only inform
+    names = ("statusword", "position", *NEEDED, *profile.loss_objects)
+    needed = frozenset(_references(profile)) | {OBJECTS[name].address for name in names}
+    readings, unread = dict[Address, int | None](), dict[Address, str]()
     for address, kind in addresses(profile).items():
         try:
             readings[address] = sdo.read(*address, kind)

@@ -93,7 +93,7 @@ def loads_of_library(path: Path) -> Result:
     results = [read_result(Path(f"{path}#{label}")) for label in read_library(path)]
     pairs = [(result, result.data or Drawn()) for result in results]
     if len({(result.robot, about.arm, about.flange_source) for result, about in pairs}) != 1:
-        advice = "estimate the older ones again with --save --force"
+        advice = "estimate the older ones again with --save"
         raise InputError(f"{path}: its loads are not of one robot, arm and flange frame; {advice}")
     loads = [(load, about) for result, about in pairs for load in result.loads]
     flange = {load.label: about.flange[load.label] for load, about in loads if load.label in about.flange}

@@ -13,9 +13,9 @@ from typing import Final, Literal
 from drives.printable import one_line
 from gateway.errors import InputError
 from gateway.result.names import SILENT
-from gateway.result.origin import refuse_edited
+from gateway.result.origin import read_sealed
 from gateway.result.result import Outcome
-from gateway.result.values import NAN, Number, Numbers, check_kind, check_lengths, decoded, json_object, text_of
+from gateway.result.values import NAN, Number, Numbers, check_lengths, decoded
 
 SCHEMA: Final = 1
 FLEET_KIND: Final = "servo-gateway fleet"
@@ -241,10 +241,7 @@ def read_fleet(path: Path) -> FleetHealth:
     InputError
         It cannot be read, is of another kind or schema, or was edited.
     """
-    data = json_object(text_of(path, f"write it {AGAIN}"), str(path))
-    check_kind(data, SCHEMA, FLEET_KIND, str(path))
-    refuse_edited(data, str(path), AGAIN)
-    found = decoded(FleetHealth, data, str(path))
+    found = decoded(FleetHealth, read_sealed(path, SCHEMA, AGAIN, FLEET_KIND), str(path))
     for line in found.robots:
         if not re.fullmatch(r"[\w-]+", line.robot):
             raise InputError(f"{path}: '{one_line(line.robot)}' is not a name of a robot: write it {AGAIN}")
@@ -253,7 +250,4 @@ def read_fleet(path: Path) -> FleetHealth:
 
 def read_robot(path: Path) -> RobotHealth:
     """Read the analysis of one robot from disk; errors as in `read_fleet`."""
-    data = json_object(text_of(path, f"write it {AGAIN}"), str(path))
-    check_kind(data, SCHEMA, ROBOT_KIND, str(path))
-    refuse_edited(data, str(path), AGAIN)
-    return decoded(RobotHealth, data, str(path))
+    return decoded(RobotHealth, read_sealed(path, SCHEMA, AGAIN, ROBOT_KIND), str(path))

@@ -209,5 +209,5 @@ def follow_from_json(text: str, where: str) -> FollowResult:
         Not JSON, another schema, a key that is missing or of the wrong kind: named with its path.
     """
     data = json_object(text, where)
-    check_kind(data, SCHEMA, KIND, where)
+    check_kind(data, SCHEMA, where, KIND)
     return decoded(FollowResult, data, where)

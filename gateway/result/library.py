@@ -60,6 +60,6 @@ def result_file(path: Path) -> tuple[Path, str | None]:
     origin = library.parent / entries[label]["result"]
     if not origin.is_file() or file_sha256(origin) != entries[label]["result_sha256"]:
         wrong = "has another sha256 than when it was saved" if origin.is_file() else "is not there"
-        advice = "restore that file, or estimate the load again with --save --force"
+        advice = "restore that file, or estimate the load again with --save"
         raise InputError(f"{library}: load '{label}' is of {origin}, which {wrong}; {advice}")
     return origin, label

@@ -10,6 +10,8 @@ SILENT: Final = {"silent": True}
 INERTIA_PARTS: Final = tuple(f"inertia_{name}_kg_m2" for name in ("xx", "yy", "zz", "xy", "xz", "yz"))
 #: All of them.
 INERTIA_WHOLE: Final = "inertia_kg_m2"
+#: Kind of the file that `rehearse` writes.
+REHEARSAL: Final = "rehearsal"
 #: What a load is exported as: the keys of `gateway.result.export.FORMATS`.
 EXPORT_FORMATS: Final = ("urdf", "json", "abb", "kuka", "ur", "fanuc", "yaskawa", "opc40010", "ros")
 #: The load certificate, which a refused load has too: `gateway.result.dcc`.

@@ -17,7 +17,8 @@ from drives import files
 from drives.printable import one_line
 from gateway import __version__
 from gateway.errors import InputError
-from gateway.result.names import SILENT
+from gateway.result.names import REHEARSAL, SILENT
+from gateway.result.values import check_kind, json_object, text_of
 
 PROGRAM = "servo-gateway"
 KEY: Final = files.SEAL
@@ -139,20 +140,36 @@ def sealed(plain: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in plain.items() if key != KEY} | {KEY: checksum(plain)}
 
 
+def read_sealed(path: Path, schema: int, again: str, *kinds: str) -> dict[str, Any]:
+    """Return the plain values of a file that the program wrote; `again` as in `refuse_edited`.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, has another schema, is of none of these kinds, has no checksum, or was edited.
+    """
+    plain = json_object(text_of(path, f"write it {again}"), str(path))
+    check_kind(plain, schema, str(path), *kinds)
+    refuse_edited(plain, str(path), again)
+    return plain
+
+
+def read_rehearsal(path: Path) -> dict[str, Any]:
+    """Return the answer of a rehearsal from its file; errors as of `read_sealed`."""
+    return read_sealed(path, 1, "with servo-gateway rehearse CELL -o REHEARSAL.json", REHEARSAL)
+
+
 def refuse_edited(plain: Mapping[str, Any], where: str, again: str = FROM_DATA) -> None:
-    """Raise an error if a file was edited since it was written; an older file without checksum is accepted.
+    """Raise an error if a file was edited since it was written, or has no checksum.
 
     `again` is the source, or the command, that writes the file again.
 
     Raises
     ------
     InputError
-        The checksum differs from that of the values.
+        The checksum is absent, or differs from that of the values.
     """
-    if KEY not in plain:
-        return
-    if plain[KEY] != checksum(plain):
-        raise InputError(
-            f"{where}: was edited: its {KEY} differs from that of its values. Use the original, or write it"
-            f" again {again}"
-        )
+    if plain.get(KEY) != checksum(plain):
+        edited = f"was edited: its {KEY} differs from that of its values. Use the original, or"
+        state = edited if KEY in plain else f"has no {KEY}, so its content is not verified;"
+        raise InputError(f"{where}: {state} write it again {again}")

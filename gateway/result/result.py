@@ -21,7 +21,7 @@ from gateway.result.drawn import Drawn
 from gateway.result.finding import Finding
 from gateway.result.library import result_file
 from gateway.result.names import SILENT
-from gateway.result.origin import refuse_edited, sealed
+from gateway.result.origin import KEY, refuse_edited, sealed
 from gateway.result.values import (
     NAN,
     Matrix,
@@ -393,7 +393,7 @@ def from_json(text: str, where: str = "result") -> Result:
 
 
 def _from_object(data: dict[str, Any], where: str) -> Result:
-    check_kind(data, SCHEMA, None, where)
+    check_kind(data, SCHEMA, where)
     known = {item.name for item in dataclasses.fields(Result)} - {"extra"}
     extra = {key: value for key, value in data.items() if key not in known}
     result = decoded(Result, {key: value for key, value in data.items() if key in known}, where)
@@ -412,6 +412,8 @@ def _from_object(data: dict[str, Any], where: str) -> Result:
 def read_result(path: Path) -> Result:
     """Read a result file, or the result of one load of a library (`result_file`); check that it was not edited.
 
+    A result that was written by hand has no checksum (`Result.sha256`).
+
     Raises
     ------
     InputError
@@ -420,7 +422,8 @@ def read_result(path: Path) -> Result:
     path, label = result_file(path)
     data = json_object(text_of(path, "name the JSON that `estimate --json` wrote"), str(path))
     result = _from_object(data, str(path))
-    refuse_edited(data, str(path))
+    if KEY in data:
+        refuse_edited(data, str(path))
     if label is None:
         return result
     return dataclasses.replace(result, loads=tuple(load for load in result.loads if load.label == label))

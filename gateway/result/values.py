@@ -149,16 +149,18 @@ def json_object(text: str, where: str) -> dict[str, Any]:
     return data
 
 
-def check_kind(data: Mapping[str, Any], schema: int, kind: str | None, where: str) -> None:
-    """Raise an error if a file has another version or, where `kind` is given, another kind.
+def check_kind(data: Mapping[str, Any], schema: int, where: str, *kinds: str) -> None:
+    """Raise an error if a file has another version or is of none of these kinds; a result alone has no kind.
 
     Raises
     ------
     InputError
         Says which is expected.
     """
-    if kind is not None and data.get("kind") != kind:
-        raise InputError(f"{where}: is not a file of kind '{kind}'")
+    held = data.get("kind")
+    if held not in (kinds or (None,)):
+        wanted = f"a file of kind {' or '.join(map(repr, kinds))}" if kinds else "a result of `estimate` or `diagnose`"
+        raise InputError(f"{where}: is not {wanted}" + ("" if held is None else f", but of kind {held!r}"))
     if data.get("schema") != schema:
         raise InputError(f"{where}: schema: this version reads schema {schema}, the file says {data.get('schema')!r}")
 

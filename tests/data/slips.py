@@ -262,8 +262,8 @@ ANSWERS = [
     ("ratios upside down", "[101, 101, 80, 60, 60, 50]", "0.0099", "line 4: .*inverted\\? write value = 101"),
     ("five ratios", "[101, 101, 80, 60, 60, 50]", "[101, 101, 80, 60, 60]", "has 5 values but the arm has 6 axes"),
     ("constants in mNm/A", "[0.12, 0.12, 0.11, 0.06, 0.06, 0.05]", "120", "in mNm/A\\? write value = 0.12"),
-    ("an efficiency in parts of 1000", "value = 0.82", "value = 820", "line 5: gear_efficiency holds 820, .*85 %"),
-    ("a sign that is none", "position_sign = [1,", "position_sign = [0,", "line 7: .*neither 1 nor -1"),
+    ("an efficiency in parts of 1000", "value = 0.82", "value = 820", "line 5: gear_efficiency must be in"),
+    ("a sign that is none", "position_sign = [1,", "position_sign = [0,", "line 7: .*position_sign = 1 or -1"),
     ("an offset in degrees", "zero_offset_rad = [0, 0.02", "zero_offset_rad = [0, 90", "degrees\\? write .*1.571"),
     ("a speed in degrees", "speed_limit_rad_s = 1.0", "speed_limit_rad_s = 60", "degrees/s\\? write .* = 1.047"),
     ("a flange in millimetres", "[0, 0, 0.03]", "[0, 0, 30]", r"millimetres\? write .*\[0, 0, 0.03\]"),
@@ -271,7 +271,7 @@ ANSWERS = [
     ("a mounting that is none", '"floor"', '"table"', "how the arm is mounted: floor, ceiling, or gravity"),
     ("a node id twice", "[11, 12,", "[11, 11,", "node id 11 is used for more than one axis"),
     ("five node ids", "[11, 12, 13, 14, 15, 16]", "[11, 12, 13, 14, 15]", "has 5 values but the arm has 6 axes"),
-    ("a key misspelt", "gear_efficiency", "gear_eficiency", "line 5: unknown key gear_eficiency"),
+    ("a key misspelt", "gear_efficiency", "gear_eficiency", "line 5: unknown key gear_eficiency; write gear_eff"),
     ("a robot that is not there", '"arm.urdf"', '"nowhere.urdf"', "name the URDF of the arm; or enter dh"),
 ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from drives.profile_file import load_profile
 from drives.scaling import Constants, motor_scale
 from gateway.cell.config import LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
-from gateway.data.recording.writer import ArmHeader, RecordingHeader, write_recording
+from gateway.data.period import Period
+from gateway.data.recording.writer import ArmHeader, RecordingHeader, RecordingWriter, write_recording
 from gateway.data.visit import NO_WORD, RestPose, Visit
 from gateway.model.arm_model import robot_text
 
@@ -67,6 +69,25 @@ def visit(
         sync_index=np.arange(100, 100 + samples),
         time_s=start_s + 0.01 * np.arange(samples),
     )
+
+
+def both_sides(*poses: int, load: str = "none", seed: int = 0) -> list[Visit]:
+    """Poses, each approached from both directions."""
+    return [visit(pose, side, load, seed, start_s=pose + 0.5 * side) for pose in poses for side in (-1, 1)]
+
+
+def recording_of(
+    path: Path, header: RecordingHeader, content: Sequence[Visit | Period], arm: ArmHeader = ARM_HEADER, finish=True
+) -> Path:
+    """A recording of one arm; without `finish` as a killed run leaves it."""
+    writer = RecordingWriter(path, header, None)
+    writer.begin(arm)
+    for each in content:
+        writer.add("main", each)
+    if finish:
+        writer.finish("main", "success", "all poses measured", {"cycles": 7})
+    writer.close()
+    return path
 
 
 def write_slowly(pause_s: float, path: Path, content: bytes) -> None:

@@ -25,8 +25,7 @@ from click.testing import CliRunner
 from drives.profile_file import load_profile
 from gateway.cell.config import load_cell
 from gateway.cli import main as program
-from gateway.data.recording.writer import RecordingWriter
-from tests.data.visits import ARM_HEADER, header_of, visit
+from tests.data.visits import ARM_HEADER, both_sides, header_of, recording_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOST_LINES = 10
@@ -125,15 +124,9 @@ def together(*makes: Callable[[Path], object]) -> Callable[[Path], object]:
 
 def recording(folder: Path, name: str = "run.h5", serial: int = 0) -> Path:
     """A recording of two poses of the bare small arm."""
-    writer = RecordingWriter(folder / name, header_of(load_cell(EXAMPLES / "small" / "cell.toml")), None)
     serials = [{"node_id": node, "serial_number": serial + node} for node in range(1, 7)] if serial else []
-    writer.begin(replace(ARM_HEADER, identities=serials))
-    for pose in (1, 2):
-        for side in (-1, 1):
-            writer.add("main", visit(pose, side, seed=serial, start_s=pose + 0.5 * side))
-    writer.finish("main", "success", "", {})
-    writer.close()
-    return folder / name
+    header, arm = header_of(load_cell(EXAMPLES / "small" / "cell.toml")), replace(ARM_HEADER, identities=serials)
+    return recording_of(folder / name, header, both_sides(1, 2, seed=serial), arm)
 
 
 def of_cell(old: str, new: str) -> Callable[[Path], object]:
@@ -408,7 +401,7 @@ COMMANDS = [
         2,
         "--load a is given twice: give each load once",
     ),
-    ("output: a cell that is there", ("cell", "new", "-o", "cell.toml"), 3, r"cell\.toml exists: .*--force"),
+    ("output: a cell that is there", ("cell", "new", "-o", "cell.toml"), 3, r"cell\.toml exists and is not replaced"),
     (
         "bus: one that the cell does not have",
         (*CHECK, "z=virtual:x"),
@@ -487,25 +480,32 @@ OTHERS = [
         "motion: a plan of one's own",
         (*RECORD, "none", "--plan", "p.json"),
         3,
-        r"p\.json: has no sha256, .*write it with servo-gateway plan",
+        r"p\.json: has no sha256, .*write it again with servo-gateway plan",
         together(cell(), text('{"schema": 1, "kind": "moving_plan"}', "p.json")),
     ),
     ("result: not there", REPORT, 3, r"out\.json: cannot be read", nothing),
     ("result: no JSON", REPORT, 3, r"out\.json:1: not valid JSON", text("{", "out.json")),
     ("result: another version", REPORT, 3, r"out\.json: schema: this version reads", result({"schema": 9})),
     (
-        "output: a page that is there",
-        REPORT,
+        "output: a table of measured values that is there",
+        (*ESTIMATE, "--json", "mine.csv"),
         3,
-        r"r\.html exists: .*--force",
-        together(result(), text("mine", "r.html")),
+        r"mine\.csv exists and is not replaced",
+        together(table(), text("mine", "mine.csv")),
     ),
     (
-        "output: JSON that is there",
-        (*ESTIMATE, "--json", "o.json"),
-        3,
-        r"o\.json exists: .*--force",
-        together(table(), text("mine", "o.json")),
+        "output: the file that is read",
+        (*ESTIMATE, "--bare", "bare.json", "--json", "bare.json"),
+        2,
+        r"bare\.json is used for another argument",
+        together(table(), text("{}", "bare.json")),
+    ),
+    (
+        "output: two results in one file",
+        (*ESTIMATE, "--json", "o.json", "--archive", "o.json"),
+        2,
+        r"o\.json is used for another argument",
+        table(),
     ),
     (
         "output: a recording that is there",

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +14,7 @@ from gateway import cli
 from gateway.cli import main, paragraph
 from gateway.errors import ConfigError, DataUnusable, FindingFailed, GatewayError, InputError, PlanRefused
 from gateway.motion.stops import StoppedByPerson
+from tests.support.rigs.command_line import parse_typed
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "small" / "cell.toml"
 RESULT = {
@@ -44,15 +44,6 @@ def test_help_imports_nothing_heavy():
         assert name in done.stdout
 
 
-@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
-def test_every_command_explains_itself_and_accepts_v_and_q(name):
-    done = run(name, "--help")
-    assert done.exit_code == 0, done.output
-    if name not in ("profiles", "cell", "config", "pair", "fleet"):
-        assert "--verbose" in done.output
-        assert "--quiet" in done.output
-
-
 def every_command(command, *words):
     """Every command, with the words that call it."""
     if isinstance(command, click.Group):
@@ -67,10 +58,7 @@ def test_the_help_of_a_command_has_an_example_that_can_be_typed(command, words):
     lines = [line.partition(" > ")[0] for line in command.help.splitlines() if line.strip().startswith(cli.PROGRAM)]
     assert lines
     for line in lines:
-        _, *typed = shlex.split(line)
-        assert tuple(typed[: len(words)]) == words
-        parser = command.make_parser(click.Context(command, **main.context_settings))
-        assert not parser.parse_args(typed[len(words) :])[1]
+        assert tuple(parse_typed(f"{line} -v -q")[: len(words)]) == words
 
 
 def test_unknown_command_and_missing_argument_are_usage_errors():
@@ -161,22 +149,12 @@ def test_a_file_that_cannot_be_opened_is_an_input_error(monkeypatch, tmp_path):
     assert str(tmp_path) in done.stderr
 
 
-def test_report_and_export_from_a_result(tmp_path):
-    source, page, text = tmp_path / "out.json", tmp_path / "sub" / "report.html", tmp_path / "load.src"
-    source.write_text(json.dumps(RESULT))
-    assert run("report", source, "-o", page).exit_code == 0
-    assert "2.00 kg" in page.read_text()
-    assert run("export", source, "--format", "kuka", "-o", text).exit_code == 0
-    assert "M 2.000" in text.read_text()
-    assert run("export", source, "--format", "ur").stdout.startswith("# loads identified on small")
-
-
 def test_quiet_says_nothing(tmp_path):
     source = tmp_path / "out.json"
     source.write_text(json.dumps(RESULT))
     done = run("report", source, "-o", tmp_path / "r.html", "-q")
     assert (done.exit_code, done.output) == (0, "")
-    done = run("-q", "report", source, "-o", tmp_path / "r.html", "--force")
+    done = run("-q", "report", source, "-o", tmp_path / "r.html")
     assert (done.exit_code, done.output) == (0, "")
 
 

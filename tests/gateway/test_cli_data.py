@@ -309,7 +309,6 @@ def test_a_load_is_accepted_or_not_or_undecided(table, tmp_path, command):
         "exact",
         "--junit",
         page,
-        "--force",
     ]
     for expected, code, outcome in (("4.0,0.3", 0, "pass"), ("4.5,0.3", 7, "fail"), ("3.993,0.005", 7, "cannot tell")):
         done = run(*words, "--expect", f"tool={expected}", "--json", "-")

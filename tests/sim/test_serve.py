@@ -97,7 +97,7 @@ def test_a_process_of_its_own_has_the_noise_of_the_stated_seed(channel):
     ("words", "message"),
     [
         (["no-such-cell.toml"], "no-such-cell.toml: cannot be read"),
-        ([str(SMALL), "--undeclared", "{bad}"], "unknown effect"),
+        ([str(SMALL), "--undeclared", "{bad}"], "bad.toml:4: effect 2: unknown effect"),
         ([str(SMALL), "--fault", "{bad}"], "may only contain [[fault]] tables"),
         ([str(SMALL), "--bus", "nonsense"], "INTERFACE:CHANNEL"),
         ([str(SMALL), "--posture", "0,0,0,0,0,9"], "one angle a joint"),
@@ -105,7 +105,8 @@ def test_a_process_of_its_own_has_the_noise_of_the_stated_seed(channel):
 )
 def test_bad_files_end_in_exit_3_and_one_paragraph(words, message, tmp_path):
     bad = tmp_path / "bad.toml"
-    bad.write_text('[[effect]]\nname = "gremlins"\n', encoding="utf-8")
+    drift = '[[effect]]\nname = "thermal_drift"\njoints = [2]\n'
+    bad.write_text(f'{drift}[[effect]]\nname = "gremlins"\n', encoding="utf-8")
     done = serve(*(word.replace("{bad}", str(bad)) for word in words))
     assert done.returncode == 3
     assert message in done.stderr

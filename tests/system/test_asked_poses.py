@@ -39,7 +39,7 @@ def asking(place, cell="small", poses=(OTHER,)):
 def test_poses_and_what_a_result_asks_for_are_measured_also_once_more_by_number(place, gateway, serve, fast_arm):
     drives = fast_arm(serve())
     degrees = ",".join(str(math.degrees(float(value))) for value in POSE.split(","))
-    done = record(gateway, place, drives, "--poses", degrees, "--unit", "deg", "--poses", "8,-3,9,3,-9,12")
+    done = record(gateway, place, drives, "--poses", f"{degrees}deg", "--poses", "8,-3,9,3,-9,12deg")
     assert done.exit_code == 0, done.output
     (arm,) = place.recording().arms
     assert arm.poses[0].q_rad == pytest.approx(tuple(map(float, POSE.split(","))))
@@ -66,8 +66,8 @@ def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway
     without_drives = ("record", place.cell, "--bus", "virtual:empty", "--load", "none", "-o", place.run, "--yes")
     for more, code, says in (
         (("--poses", "0.1,0.2"), 2, "has 6 axes"),
-        (("--poses", "0,30,0,0,30,0"), 2, "add --unit deg"),
-        (("--poses", "a,b", "--unit", "deg"), 2, "joint angles in deg"),
+        (("--poses", "0,30,0,0,30,0"), 2, "0,30,0,0,30,0deg"),
+        (("--poses", "a,bdeg"), 2, "one joint angle per axis"),
         (("--poses", "7"), 3, "does not exist yet, so it has no pose of this number"),
         (("--poses", "7", "--poses", POSE), 2, "give one of them"),
         (("--poses", POSE, "--next", asking(place)), 2, "give one of them"),

@@ -71,7 +71,7 @@ def test_a_move_that_is_stopped_leaves_one_beside_the_ledger(place, gateway, ser
 @pytest.mark.slow
 def test_a_check_that_is_stopped_leaves_one(place, gateway, serve):
     drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 4\nat_sync = 75\nsyncs = 0\n')
-    done = gateway("check", place.cell, "--bus", drives.bus, "--force", "--move", "--yes")
+    done = gateway("check", place.cell, "--bus", drives.bus, "--move", "--yes")
     assert done.exit_code == 4, done.output
     (path,) = boxes(place)
     assert str(path) in done.stderr.replace("\n", "")

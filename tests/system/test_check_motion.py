@@ -15,7 +15,6 @@ def check(gateway, place, drives, *more, cell=None, **options):
         cell or place.cell,
         "--bus",
         drives.bus,
-        "--force",
         "--json",
         place.folder / "check.json",
         *more,

@@ -103,7 +103,6 @@ def test_what_is_dumped_is_read_back_by_an_independent_reader_as_the_drives_hold
 def test_a_dump_is_not_replaced_unasked_and_equal_drives_are_equal(config, place):
     assert config("dump").exit_code == 0
     assert config("dump").exit_code == 3
-    assert config("dump", "--force").exit_code == 0
     done = config("diff", "--junit", place.folder / "junit.xml")
     assert done.exit_code == 0, done.output
     suite = ElementTree.parse(place.folder / "junit.xml").getroot()[0]

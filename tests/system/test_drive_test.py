@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections import deque
 
 import numpy as np
@@ -147,12 +148,13 @@ def test_answers_of_disabled_drives_are_findings_of_the_drive_and_nothing_moves_
     words = ("--axis", "J2", "--axis", "J3", "--axis", "J4", "--axis", "J5", "--pacing", "real")
     before, found = [], {}
     for _ in range(TRIES):
-        (done, reports, _, drives), sleepers = watched(
-            lambda: tested(*words, "--force", code=None, prepare=prepare, pacing="real"), STALL_S
+        (done, reports, out, drives), sleepers = watched(
+            lambda: tested(*words, code=None, prepare=prepare, pacing="real"), STALL_S
         )
         found = {axis: [text.partition(":")[0] for text in report["findings"]] for axis, report in reports.items()}
         if found == expected or not sleepers.stalls:
             break
+        shutil.rmtree(out)
     assert found == expected, sleepers
     assert done.exit_code == 7, done.output
     figures = {axis: {each["name"]: each for each in report["figures"]} for axis, report in reports.items()}
@@ -175,11 +177,11 @@ def test_wrong_names_are_refused_before_anything_is_sent(tested, more, code, tex
     assert drives.handle.simulation.servers[0].sync_count == 0
 
 
-def test_earlier_results_are_kept_without_force(tested, place):
+def test_earlier_results_are_not_replaced(tested, place):
     (place.folder / "out").mkdir()
     (place.folder / "out" / "J2.json").write_text("{}")
     done, _, out, _ = tested("--axis", "J2", code=3)
-    assert "--force" in done.stderr
+    assert "not replaced" in done.stderr
     assert (out / "J2.json").read_text() == "{}"
 
 

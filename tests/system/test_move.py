@@ -68,10 +68,10 @@ def test_there_and_home_again_after_the_proof(place, gateway, serve):
     ("to", "code", "says"),
     [
         ("0.1,0.2", 2, "2 joint angles, and arm 'main' has 6 axes"),
-        ("up", 2, "give joint angles in rad"),
-        ("nan,0,0,0,0,0", 2, "give joint angles in rad"),
+        ("up", 2, "give one joint angle per axis"),
+        ("nan,0,0,0,0,0", 2, "give one joint angle per axis"),
         ("3,0,0,0,0,0", 5, "joint 1 outside [-2.800, 2.800] rad"),
-        ("90,0,0,0,0,0", 2, "add --unit deg for degrees"),
+        ("90,0,0,0,0,0", 2, "write 90,0,0,0,0,0deg for degrees"),
         ("-1.2,1.3,1.0,0,0.4,0", 5, "link 5 in keep_out box 1"),
     ],
 )

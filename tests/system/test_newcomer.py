@@ -119,33 +119,6 @@ def answers(text: str, *without: str) -> str:
     return "\n".join(line for line in text.splitlines() if line.split(" =")[0] not in dropped) + "\n" + POSES
 
 
-@pytest.mark.slow
-def test_from_urdf_and_data_sheets_to_the_load(newcomer, tmp_path):
-    her = newcomer(OWN / "bench" / "cell.toml", OWN / "bench" / "payload.toml")
-    (arm,) = her.drives.simulation.arms
-    sheets = [write_sheet(drive, tmp_path / f"j{axis}.eds") for axis, drive in enumerate(arm.drives, start=1)]
-    shutil.copy(OWN / "arm.urdf", tmp_path / "arm.urdf")
-    drive_answers = her.writes("drive-answers.toml", known("profile-answers.toml"))
-    arm_answers = her.writes("answers.toml", answers(known("answers.toml")))
-
-    her.types("profiles", "new", "--eds", sheets[0], "--answers", drive_answers, "-o", tmp_path / "my-drive.toml")
-    files = [word for sheet in sheets for word in ("--eds", sheet)]
-    more = ("--answers", arm_answers, "--answer", f"profile={tmp_path / 'my-drive.toml'}")
-    said = her.types("cell", "new", "--bus", her.drives.bus, *files, *more, "-o", her.cell)
-    assert "assumed" in said
-    her.types("check", her.cell, *LOCKSTEP)
-    her.types("check", her.cell, *LOCKSTEP, "--prove-stop", "--yes")
-    load = her.measures()
-
-    inside(load, OWN / "bench" / "payload.toml")
-    her.counts(load)
-    (axes,) = load_cell(her.cell).cell.arm
-    assert [axis.node_id for axis in axes.axis] == [11, 12, 13, 14, 15, 16]
-    assert axes.axis[0].torque_limit_nm == 140
-    # of the URDF 2.9; the drive stops at 2.85, and a little inside of it is safe
-    assert 2.78 < axes.axis[0].position_limit_rad[1] < 2.85
-
-
 def test_a_dcf_for_each_node_gives_the_cell_without_a_bus(newcomer, tmp_path):
     her = newcomer(OWN / "bench" / "cell.toml", OWN / "bench" / "payload.toml")
     (arm,) = her.drives.simulation.arms

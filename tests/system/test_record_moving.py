@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gateway.cell.config import load_cell
-from gateway.excite.plan_file import plan_as_plain, read_moving_plan
+from gateway.excite.plan_file import plan_as_plain, read_plan
 from gateway.excite.sweep_choice import Sweep
 from gateway.model.arm_model import arm_robot
 from gateway.motion.workspace import workspace_of
@@ -57,8 +57,8 @@ def plan(untyped, gateway):
     path = untyped.folder / "plan.json"
     planned = gateway("plan", untyped.cell, "--moving", "--for", "friction", "-o", path)
     assert planned.exit_code == 0, planned.output
-    moving_plan = read_moving_plan(path)
     loaded = load_cell(untyped.cell)
+    moving_plan = read_plan(path, loaded.cell.arm[0])
     workspace = workspace_of(loaded.cell.arm[0], arm_robot(loaded, loaded.cell.arm[0]))
     sweeps = [each for each in moving_plan.excitations if isinstance(each, Sweep)]
     assert [each.joint for each in sweeps] == [1, 2, 3, 4, 5, 6]

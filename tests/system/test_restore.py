@@ -50,7 +50,7 @@ def test_what_a_run_has_written_is_restored_from_a_copy_of_the_cell_past_a_missi
     assert {text.split(":")[0] for text in arm["left"]} == {"node 3", "node 4"}
     assert [torque(drives, node) for node in (1, 2, 5, 6)] == [before[node - 1] for node in (1, 2, 5, 6)]
     simulated[2].node.unpowered = False
-    done = gateway(*arguments, "--force")
+    done = gateway(*arguments)
     assert done.exit_code == 4, done.output
     assert torque(drives, 3) == before[2]
     assert gateway("restore", place.cell, "--bus", drives.bus, "--forget", "--yes").exit_code == 0

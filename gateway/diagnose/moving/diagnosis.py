@@ -31,8 +31,7 @@ from gateway.identify.knowledge import EXACT, Knowledge
 from gateway.identify.links import has_inertials
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.spread import counting_share
-from gateway.model.effects import LIBRARY
-from gateway.model.effects.link_mass import EFFECT as LINK_MASS
+from gateway.model.effects import BY_ODDS, LIBRARY
 from gateway.model.motion import Mask, MovingRows
 from gateway.model.robot import Robot
 from gateway.model.term import Label
@@ -140,8 +139,7 @@ def _outcome(found: Choice, judges: Judges, allowed: frozenset[str], *, free: bo
         replace(item, held=judges.effect(item.label, item.axes(problem.motion.axes), problem.noise.sigma_nm))
         for item in weigh(problem, state, allowed)
     ]
-    # links far from the robot model predict held-out rows as well as a body on one: the odds alone decide
-    below = {item.label for item in chosen if item.held.below_one or item.label[0] == LINK_MASS.name}
+    below = {item.label for item in chosen if item.held.below_one or item.label[0] in BY_ODDS}
     refuted = tuple(item for item in chosen if item.label not in below or (item.contested and not item.rival))
     open_ones = [item for item in chosen if item not in refuted]
     accepted = tuple(item for item in open_ones if not item.contested and certain(problem, state, item.terms))

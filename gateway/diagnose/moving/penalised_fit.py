@@ -52,8 +52,12 @@ class MovingFit:
     residual_nm : array of shape (n, N)
         Residual of every row, fitted or not.
     modelled : Modelled
+    prior : Prior
+        Of the parameters, without their limits.
+    penalty : float
+        Squared distance of the parameters from the prior mean, in its standard deviations.
     cost : float
-        Weighted squares of training rows plus those of the prior.
+        Weighted squares of training rows plus the penalty.
     """
 
     terms: tuple[Term, ...]
@@ -67,6 +71,8 @@ class MovingFit:
     value: Floats
     residual_nm: Floats
     modelled: Modelled
+    prior: Prior
+    penalty: float
     cost: float
 
     def part(self, terms: Sequence[Term]) -> Ints:
@@ -181,10 +187,12 @@ def fit(
         value=value,
         residual_nm=motion.tau_nm,
         modelled=modelled or _NOTHING,
+        prior=prior,
+        penalty=prior.penalty(value),
         cost=0.0,
     )
     residual = motion.tau_nm - known_nm - solved.torque(range(motion.axes), value)
-    cost = float(((solved.weight * residual) ** 2).sum()) + prior.penalty(value)
+    cost = float(((solved.weight * residual) ** 2).sum()) + solved.penalty
     modelled = replace(solved.modelled, total_nm=motion.tau_nm - residual)
     solved = replace(solved, residual_nm=residual, modelled=modelled, cost=cost)
     if not any(solved.at_limit(index) for index in null.usual):
@@ -281,11 +289,6 @@ def _extra(motion: MovingRows, null: NullModel, terms: Sequence[Term], modelled:
 def prior_precision(term: Term) -> Floats:
     """Prior precision of an effect's linear parameters; 0 = no prior."""
     return np.nan_to_num(np.array(term.spread[: term.count]) ** -2.0)
-
-
-def penalty_of(fit: MovingFit, value: Floats) -> float:
-    """Squared distance of parameters (P,) of a fit from the mean of their prior, in its standard deviations."""
-    return fit.null.columns.prior.beside(prior_of(fit.terms)).penalty(value)
 
 
 def prior_of(terms: Sequence[Term]) -> Prior:

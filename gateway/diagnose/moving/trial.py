@@ -16,14 +16,7 @@ from gateway.diagnose.held_out_residuals import Held
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.moving.moving_rows import blocks
 from gateway.diagnose.moving.null_model import noise_of, scaled_to
-from gateway.diagnose.moving.penalised_fit import (
-    INDEPENDENT,
-    MovingFit,
-    MovingProblem,
-    fit,
-    penalty_of,
-    prior_precision,
-)
+from gateway.diagnose.moving.penalised_fit import INDEPENDENT, MovingFit, MovingProblem, fit, prior_precision
 from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.spread import counting_share, jackknife, wider
 from gateway.model.effect import MotionSetup
@@ -210,7 +203,7 @@ def _hold_out(
     for term, on_fitted, residual in zip(terms, asked, residuals, strict=True):
         value, covariance, lead, _ = on_fitted.step
         full, own = on_fitted.full, float((prior_precision(term) * value**2).sum())
-        eased = 0.5 * (penalty_of(full, full.value) - penalty_of(full, full.value - lead) - own)
+        eased = 0.5 * (full.penalty - full.prior.penalty(full.value - lead) - own)
         after = Held(residual * before.counted, before.counted)
         out.append(judge(problem, fits, term, before, after, (value, covariance, on_fitted.log_p, eased)))
     return out
@@ -396,7 +389,7 @@ def compare(problem: MovingProblem, smaller: MovingState, larger: MovingState, t
     value, covariance = larger.full.value[where], larger.full.inverse[np.ix_(where, where)]
     drop = smaller.full.cost - larger.full.cost
     log_p = demand(problem, smaller.full, axes, (covariance, drop, larger.full.residual_nm[:, axes]))
-    eased = 0.5 * (penalty_of(smaller.full, smaller.full.value) - penalty_of(larger.full, larger.full.value))
+    eased = 0.5 * (smaller.full.penalty - larger.full.penalty)
     return judge(problem, larger.fits, term, smaller.held, larger.held, (value, covariance, log_p, eased))
 
 

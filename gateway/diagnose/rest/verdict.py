@@ -17,6 +17,7 @@ from gateway.diagnose.rest.screen import projection
 from gateway.diagnose.rest.search import Search, pruned
 from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
+from gateway.model.effects import BY_ODDS
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
 from gateway.result.numerals import TWO_SIDED_95
@@ -24,8 +25,8 @@ from gateway.result.result import Verdict
 
 Floats = NDArray[np.float64]
 
-#: What the evidence alone decides: a body on a link is itself a correction of the links, and wrong links fit as well.
-BY_EVIDENCE: Final = (UNNAMED, "link_mass")
+#: What the evidence alone decides, not the left-out poses.
+BY_EVIDENCE: Final = (UNNAMED, *BY_ODDS)
 
 
 class Key(NamedTuple):

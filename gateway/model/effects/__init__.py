@@ -23,6 +23,8 @@ def _read() -> dict[str, Effect]:
 LIBRARY: Final[Mapping[str, Effect]] = _read()
 #: Effects that wrong link parameters of the robot model can imitate.
 DRAWN: Final = frozenset(effect.name for effect in LIBRARY.values() if effect.drawn)
+#: Effects that the odds alone decide: links far from the robot model predict left-out samples as well as a body does.
+BY_ODDS: Final = frozenset(effect.name for effect in LIBRARY.values() if effect.by_odds)
 #: Effects that are friction.
 FRICTION: Final = frozenset(effect.name for effect in LIBRARY.values() if effect.friction)
 #: Commissioning mistakes, each with what is wrong and what to do.

@@ -132,4 +132,5 @@ EFFECT: Final = Effect(
     at_rest=_at_rest,
     in_motion=_in_motion,
     drawn=True,
+    by_odds=True,
 )

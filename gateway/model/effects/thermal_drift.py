@@ -34,6 +34,7 @@ class ThermalDrift(OnAxis):
     by: str = "time"
     on: str = "torque"
     name: ClassVar[str] = "thermal_drift"
+    parameters: ClassVar[tuple[str, ...]] = ("rate",)
     modelled: ClassVar[bool] = True
 
     @property

@@ -75,11 +75,11 @@ def test_the_right_load_raises_no_finding_and_what_is_left_out_is_said(right):
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_a_load_20_percent_off_shows_as_a_trend_and_fails(place, drives, right, factor):
     if factor == 1.2:
-        command = rig.follow_command(place, drives, place.result_with("heavy", factor), place.folder / "heavy.html")
+        command = rig.follow_command(place, drives, place.result_with("heavy", factor), place.folder / "followed.html")
         assert command.exit_code == 7, command.output
         assert "identify it again" in command.output
-        result = follow_from_json((place.folder / "heavy.json").read_text(), "follow.json")
-        assert "tag fail" in (place.folder / "heavy.html").read_text()
+        result = follow_from_json((place.folder / "followed.json").read_text(), "follow.json")
+        assert "tag fail" in (place.folder / "followed.html").read_text()
     else:
         request = place.path, place.result_with("light", factor)
         result = rig.followed(drives, place.cell, *request, "identified")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drives.draft.answers import ProfileAnswers, address_of, read_answers, with_answers
+from drives.draft.answers import ProfileAnswers, address_of
 from drives.draft.device import Device, ask_drive, device_of_sheet, unit_rad_s
 from drives.draft.questions import QUESTIONS, next_question, open_questions
 from drives.draft.text import draft, profile_name
@@ -216,9 +216,7 @@ def test_a_drive_that_states_interpolated_position_alone_is_moved_in_it(device):
 
 def test_what_a_manual_says_of_mode_statusword_and_warnings_is_taken(device):
     typed = {"cyclic_mode": "7", "ignored_status": "0x0800"}
-    profile = profile_of(
-        device(), **with_answers(ProfileAnswers(), typed | {"warning_codes": "0x4310, 0x4390"}).model_dump()
-    )
+    profile = profile_of(device(), **typed, warning_codes="0x4310, 0x4390")
     machine = profile.state_machine
     assert (machine.cyclic_mode, machine.ignored_status) == (7, 0x0800)
     assert [(entry.code, entry.warning) for entry in profile.emcy] == [(0x4310, True), (0x4390, True)]
@@ -257,7 +255,8 @@ def test_questions_follow_from_answers_and_end(device):
     typed = {key: str(value) for key, value in CURRENT.items()}
     while (question := next_question(device(), answers, asked)) is not None:
         asked.append(question.key)
-        answers = with_answers(answers, {question.key: typed[question.key]} if question.key in typed else {})
+        if question.key in typed:
+            answers = answers.model_copy(update={question.key: question.form(typed[question.key], 0)})
     assert asked == [
         "torque_kind", "torque_nature", "rated_unit", "current_reference", "torque_constant_per", "torque_source",
         "velocity_unit_rad_s", "lost_heartbeat",
@@ -280,28 +279,6 @@ def test_questions_follow_from_answers_and_end(device):
 def test_units_of_speed(code, unit):
     """CiA 303-2: B4 revolution, 10 radian, 47 minute, 03 second, the top byte a power of ten."""
     assert unit_rad_s(code) == (None if unit is None else pytest.approx(unit))
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ('torque_kind = "newton"', "torque_kind"),
-        ("rated_unit = 0.0", "rated_unit"),
-        ('torque = "x"', "torque: unknown key"),
-        ("torque_kind = ", "not valid TOML"),
-        ('counts_object = "6077"', "counts_object"),
-    ],
-)
-def test_an_answer_that_is_none_is_named(tmp_path, text, says):
-    (tmp_path / "answers.toml").write_text(text)
-    with pytest.raises(ProfileError, match=says) as caught:
-        read_answers(tmp_path / "answers.toml")
-    assert "answers.toml" in str(caught.value)
-
-
-def test_an_answer_file_that_is_not_there(tmp_path):
-    with pytest.raises(ProfileError, match="cannot be read"):
-        read_answers(tmp_path / "none.toml")
 
 
 def test_small_things():

@@ -85,9 +85,9 @@ def test_home_that_is_not_configured_is_the_middle_of_the_joint_ranges_and_said_
     without_home = config.model_copy(update={"home_rad": None})
     found = destination(without_home, workspace, "home")
     assert found.q_rad == pytest.approx([(low + high) / 2 for low, high in (a.position_limit_rad for a in config.axis)])
-    assert "home_rad is not given" in str(found)
+    assert "the cell file has no home_rad" in str(found)
     wall = with_box(small_cell, (-2.0, -2.0, 0.0), (2.0, 2.0, 2.0))
-    with pytest.raises(ConfigError, match=r"middle of the joint ranges.*keep_out box 1.*write home_rad"):
+    with pytest.raises(PlanRefused, match=r"no home_rad.*keep_out box 1.*choose another posture"):
         destination(without_home, wall, "home")
 
 

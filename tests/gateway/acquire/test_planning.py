@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio
 import pytest
 
+from gateway.acquire import plan as steps_of_a_plan
 from gateway.acquire.plan import MoveTo, Plan, PoseVisit, check_plan, plan_from, plan_poses, step_durations
 from gateway.acquire.planning import expectation, make_plan, plan_of_poses, visit_settings
 from gateway.acquire.poses import DISTANCE_RAD, RestPose, choose_poses, feasible_postures, read_poses
@@ -17,6 +18,8 @@ from gateway.model.arm_model import robot_text
 from gateway.model.kinematics import flange_frames
 from gateway.motion.assumed import assumed_noise_nm
 from gateway.motion.joint_path import path_points
+from gateway.motion.trajectory import straight
+from tests.data.arms import carrying, peer_of, torque_of
 from tests.data.around import among_boxes
 
 
@@ -39,10 +42,8 @@ def plan(small_cell) -> Plan:
 
 def load_rows(small_cell, q_rad: np.ndarray) -> np.ndarray:
     """Columns [m, h] of link 6 by pinocchio's regressor."""
-    model = pinocchio.buildModelFromXML(robot_text(small_cell, small_cell.cell.arm[0]))
-    model.gravity.linear = np.array(small_cell.cell.arm[0].gravity_m_s2)
-    data = model.createData()
-    zero = np.zeros(6)
+    arm, zero = small_cell.cell.arm[0], np.zeros(6)
+    model, data = peer_of(robot_text(small_cell, arm), tuple(arm.gravity_m_s2))
     return np.array([pinocchio.computeJointTorqueRegressor(model, data, q, zero, zero)[:, 50:54] for q in q_rad])
 
 
@@ -216,6 +217,20 @@ def test_a_missing_limit_refuses(plan, workspace, name):
     values[3] = np.inf if name == "upper_rad" else np.nan
     with pytest.raises(PlanRefused, match="joint 4: .* is missing in the cell file; nothing will move"):
         check_plan(plan, replace(workspace, **{name: values}))
+
+
+def test_moves_stay_below_the_torque_limits_with_the_heaviest_load(small_cell, plan, workspace):
+    """Torque by pinocchio, of an arm whose limits are just enough to hold the load along the path."""
+    load = replace(workspace, max_load=np.array([10.0, 0.0, 0.0, 1.2]))
+    held = load.holding_torque(np.vstack([path_points(*pair) for pair in itertools.pairwise(plan.corners_rad)]))
+    weak = replace(load, torque_nm=np.maximum(held.max(axis=0) / 0.9, 20.0))
+    model, largest = carrying(peer_of(robot_text(small_cell, small_cell.cell.arm[0]))[0], 10.0, (0.0, 0.0, 0.12)), []
+    for at, step in itertools.pairwise(plan.steps):
+        limits = steps_of_a_plan.motion_limits(step, np.array(at.q_rad), weak, plan.settings)
+        motion = straight(np.array(at.q_rad), np.array(step.q_rad), limits, plan.settings.period_s)
+        torque = torque_of(model, motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2)
+        largest.append(np.abs(torque / weak.efficiency / weak.torque_nm).max())
+    assert 0.85 < max(largest) < 0.95
 
 
 def changed(plan: Plan, number: int, step) -> Plan:

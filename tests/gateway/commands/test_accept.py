@@ -49,7 +49,7 @@ def accept(identified, tmp_path):
         if result is not None:
             load = tmp_path / "changed.json"
             load.write_text(to_json(result), encoding="utf-8")
-        words = ["accept", identified / "cell.toml", load, "--from", tmp_path / "unseen.csv"]
+        words = ["accept", identified / "cell.toml", load, "--from", tmp_path / "unseen.csv", "-o", tmp_path]
         words += [*more, *(() if tolerance is None else ("--tolerance", tolerance))]
         return CliRunner(env={"COLUMNS": "200"}).invoke(main, [str(word) for word in words])
 
@@ -57,7 +57,7 @@ def accept(identified, tmp_path):
 
 
 def test_a_right_load_passes_with_map_page_and_junit(accept, tmp_path):
-    done = accept("--json", tmp_path / "a.json", "-o", tmp_path, "--junit", tmp_path / "a.xml")
+    done = accept("--json", tmp_path / "a.json", "--junit", tmp_path / "a.xml")
     assert done.exit_code == 0, done.output
     answer = json.loads((tmp_path / "a.json").read_text())
     assert answer["outcome"] == "pass"

@@ -56,14 +56,16 @@ def test_what_is_shown_is_there_as_json_too(tmp_path):
     assert page.exists()
 
 
-def test_force_replaces_what_is_there(tmp_path):
-    source, page = tmp_path / "out.json", tmp_path / "r.html"
+def test_an_earlier_page_is_replaced_and_no_other_file(tmp_path):
+    source, page, other = tmp_path / "out.json", tmp_path / "r.html", tmp_path / "robot.urdf"
     source.write_text(json.dumps(RESULT))
-    page.write_text("mine")
-    assert run("report", source, "-o", page).exit_code == 3
-    assert page.read_text() == "mine"
-    assert run("report", source, "-o", page, "--force").exit_code == 0
+    for file in (page, other):
+        file.write_text("mine")
+    for code, output in ((0, page), (3, other), (3, source)):
+        assert run("report", source, "-o", output).exit_code == code
     assert "<html" in page.read_text()
+    assert other.read_text() == "mine"
+    assert json.loads(source.read_text()) == RESULT
 
 
 def test_both_programs_say_their_version():

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from gateway.cell.config import load_cell
 from gateway.cli import main
 from gateway.excite import random_series, series_choice
-from gateway.excite.planning import read_moving_plan
+from gateway.excite.plan_file import read_plan
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
 
@@ -33,7 +34,7 @@ def test_a_plan_is_printed_written_and_drawn(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     for words in ("20 s of motion", "use of the limits", "best of 100 random", "Ixx", "kept apart"):
         assert words in result.output
-    plan = read_moving_plan(file)
+    plan = read_plan(file, load_cell(EXAMPLE).cell.arm[0])
     assert [(each.kind, each.periods, each.period_s) for each in plan.excitations] == [("series", 2, 10.0)]
     assert json.loads(file.read_text())["expected"]["duration_s"] == 20.0
     drawn = page.read_text()
@@ -47,7 +48,7 @@ def test_friction_is_asked_for_by_sweeps(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "friction J6" in result.output
     assert "dry friction [Nm]" in result.output
-    assert {each.kind for each in read_moving_plan(file).excitations} == {"sweep"}
+    assert {each.kind for each in read_plan(file, load_cell(EXAMPLE).cell.arm[0]).excitations} == {"sweep"}
 
 
 @pytest.mark.parametrize(

@@ -40,5 +40,3 @@ def test_a_cell_is_drawn_where_its_file_names_a_posture(tmp_path):
     assert page.count('<polyline class="ring"') == 2 * 12, "the edges of two boxes"
     assert "floor: -0.02 m, arm.floor_m" in page
     assert "column: radius 0.12 m" in " ".join(done.output.split())
-    again = CliRunner().invoke(main, ["cell", "view", str(folder / "cell.toml")])
-    assert (again.exit_code, (folder / "cell.html").read_text(encoding="utf-8")) == (3, page)

@@ -12,6 +12,7 @@ from gateway.errors import DataUnusable, InputError
 from gateway.estimate import estimate, run
 from gateway.estimate.moving_estimate import estimate_moving
 from gateway.identify.knowledge import Knowledge, WeighedLoad
+from gateway.identify.model_conflict import motion_conflict
 from gateway.identify.motion.columns import MovingSetup
 from gateway.model.robot import robot_from_urdf
 from tests.data.arms import sines, torque_of
@@ -235,6 +236,16 @@ def test_a_motion_that_contradicts_the_robot_model_grossly_gives_no_load(arm, ru
     robot = replace(arm.robot, mass_kg=3.0 * arm.robot.mass_kg, inertia_kg_m2=3.0 * arm.robot.inertia_kg_m2)
     found = estimate(run_and_loaded_run, robot, Knowledge(link_std=0.05))
     assert found.loads[0].refused in {finding.what for finding in found.findings if finding.check == "torque_constants"}
+
+
+@pytest.mark.parametrize("factor", [0.1, 4.0])
+def test_one_axis_that_is_off_is_no_factor_of_all(factor):
+    torque_nm = np.ones((50, 6))
+    one_off_nm = torque_nm * np.array([factor, 1.0, 1.0, 1.0, 1.0, 1.0])
+    assert motion_conflict(torque_nm, one_off_nm, np.zeros(6)) is None
+    found = motion_conflict(torque_nm, 4.0 * torque_nm, np.zeros(6))
+    assert found is not None
+    assert found.check == "torque_constants"
 
 
 def test_a_placeholder_inertia_of_a_link_is_named_and_not_used(arm, table_of):

@@ -14,12 +14,13 @@ import pytest
 from gateway.errors import InputError, PlanRefused
 from gateway.excite import random_series, series_choice
 from gateway.excite.excitation import MovingPlan, Series
-from gateway.excite.plan_file import excitation_of, plan_as_plain
-from gateway.excite.planning import MovingRequest, check_moving_plan, make_moving_plan, read_moving_plan
+from gateway.excite.plan_file import excitation_of, plan_as_plain, read_plan
+from gateway.excite.planning import MovingRequest, check_moving_plan, make_moving_plan
 from gateway.feedforward.load import rated_load
 from gateway.model.arm_model import arm_robot, robot_text
 from gateway.model.kinematics import flange_frames
 from gateway.motion.workspace import workspace_of
+from gateway.result.origin import sealed
 from tests.data.arms import carrying, peer_of, torque_of
 
 REQUEST = MovingRequest(choice="random")
@@ -164,10 +165,10 @@ def test_sweeps_turn_every_joint_steadily_in_both_directions_inside_its_limits(s
     assert None not in friction["coulomb_std_nm"]
 
 
-def test_a_file_of_sweeps_is_read_as_it_was_written(swept: MovingPlan, tmp_path: Path) -> None:
+def test_a_file_of_sweeps_is_read_as_it_was_written(swept: MovingPlan, config, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(plan_as_plain(swept)))
-    read = read_moving_plan(path)
+    read = read_plan(path, config)
     assert plan_as_plain(read) == plan_as_plain(swept)
     assert np.array_equal(read.excitations[1].motion(0.01).q_rad, swept.excitations[1].motion(0.01).q_rad)
 
@@ -210,10 +211,10 @@ def test_an_uninformative_period_is_refused(small_cell, wrong: dict[str, Any]) -
         make_moving_plan(small_cell, None, replace(REQUEST, **wrong))
 
 
-def test_a_plan_file_is_read_as_it_was_written(plan: MovingPlan, tmp_path: Path) -> None:
+def test_a_plan_file_is_read_as_it_was_written(plan: MovingPlan, config, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(plan_as_plain(plan)))
-    read = read_moving_plan(path)
+    read = read_plan(path, config)
     assert plan_as_plain(read) == plan_as_plain(plan)
     at = np.linspace(0.0, 10.0, 7)
     assert np.array_equal(series_of(read).at(at)[0], series_of(plan).at(at)[0])
@@ -224,16 +225,16 @@ def test_a_plan_file_is_read_as_it_was_written(plan: MovingPlan, tmp_path: Path)
     [
         (lambda plan: plan["excitations"][0]["cosine_rad"][0].__setitem__(0, 0.5), "edited"),
         (lambda plan: plan.pop("sha256"), "sha256"),
-        (lambda plan: plan.__setitem__("kind", "follow"), "moving_plan"),
+        (lambda plan: plan.__setitem__("kind", "rest_plan"), "edited"),
     ],
 )
-def test_an_edited_plan_is_refused(plan: MovingPlan, tmp_path: Path, change, said: str) -> None:
+def test_an_edited_plan_is_refused(plan: MovingPlan, config, tmp_path: Path, change, said: str) -> None:
     plain = json.loads(json.dumps(plan_as_plain(plan)))
     change(plain)
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(plain))
     with pytest.raises(InputError, match=said):
-        read_moving_plan(path)
+        read_plan(path, config)
 
 
 @pytest.mark.parametrize(
@@ -246,7 +247,7 @@ def test_an_edited_plan_is_refused(plan: MovingPlan, tmp_path: Path, change, sai
         ("kind", "dance", "dance"),
     ],
 )
-def test_a_motion_that_is_none_is_refused(plan: MovingPlan, tmp_path: Path, key: str, value, said: str) -> None:
+def test_a_motion_that_is_none_is_refused(plan: MovingPlan, config, tmp_path: Path, key: str, value, said: str) -> None:
     series = series_of(plan)
     changed = series.plain() | {key: value}
     path = tmp_path / "plan.json"
@@ -258,4 +259,32 @@ def test_a_motion_that_is_none_is_refused(plan: MovingPlan, tmp_path: Path, key:
     broken: Any = (Changed(),)
     path.write_text(json.dumps(plan_as_plain(replace(plan, excitations=broken))))
     with pytest.raises(InputError, match=said):
-        read_moving_plan(path)
+        read_plan(path, config)
+
+
+REST_POSES = [{"pose": k, "purpose": "fit", "q_rad": [0.1 * k] * 6} for k in range(4)]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"poses": [REST_POSES[0] | {"purpose": [1]}]}, r"poses\[0\].purpose"),
+        ({"poses": [REST_POSES[0] | {"purpose": "validation"}]}, "'fit'"),
+        ({"poses": [REST_POSES[0] | {"q_rad": [0.0] * 5}, *REST_POSES]}, "5 or 6 axes"),
+        ({"poses": []}, "'fit'"),
+        ({"arm": "left"}, "arm 'left'"),
+        ({"duration_s": None}, "duration"),
+        ({"sha256": "0"}, "edited"),
+        ({"kind": "follow"}, "kind.*rest_plan"),
+    ],
+)
+def test_a_plan_of_rest_poses_that_is_none_is_refused(
+    config, tmp_path: Path, change: dict[str, Any], said: str
+) -> None:
+    path = tmp_path / "plan.json"
+    plan = {"schema": 1, "kind": "rest_plan", "arm": config.name, "duration_s": 60.0, "poses": REST_POSES}
+    path.write_text(json.dumps(sealed(plan)))
+    assert [pose.q_rad[0] for pose in read_plan(path, config).poses] == [pose["q_rad"][0] for pose in REST_POSES]
+    path.write_text(json.dumps(sealed(plan | change) | {key: change[key] for key in change if key == "sha256"}))
+    with pytest.raises(InputError, match=said):
+        read_plan(path, config)

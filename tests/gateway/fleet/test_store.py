@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from gateway.cell.config import load_cell
-from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import InputError
 from gateway.fleet.columns import SCHEMA_KEY
 from gateway.fleet.history import history
@@ -23,7 +22,7 @@ from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make, open_store
 from gateway.result.result import LoadResult, Result, to_json
 from tests.data.fleets import checks, write_table
-from tests.data.visits import ARM_HEADER, CELL, header_of, visit
+from tests.data.visits import ARM_HEADER, CELL, header_of, recording_of, visit
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 
@@ -34,12 +33,8 @@ def store(tmp_path: Path) -> Store:
 
 
 def recording(path: Path, created: str = "2026-02-03T04:05:06+00:00") -> Path:
-    writer = RecordingWriter(path, replace(header_of(load_cell(CELL)), created=created), None)
-    writer.begin(replace(ARM_HEADER, identities=[{"serial_number": 100 + joint} for joint in range(6)]))
-    writer.add("main", visit(1, -1))
-    writer.finish("main", "success", "", {})
-    writer.close()
-    return path
+    arm = replace(ARM_HEADER, identities=[{"serial_number": 100 + joint} for joint in range(6)])
+    return recording_of(path, replace(header_of(load_cell(CELL)), created=created), [visit(1, -1)], arm)
 
 
 def test_rows_lie_by_robot_and_month_and_duckdb_reads_them(store: Store, tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import dask
+import distributed
 import pytest
 
 from gateway.errors import ConfigError
@@ -194,3 +196,26 @@ def test_a_cluster_with_certificates_works_for_their_holders(tmp_path: Path, cli
     files = {name: _certificates(tmp_path, name) for name in ("own", "foreign")}
     done = ran(tmp_path, TLS, *files["own"], *files[client])
     assert said in done.stdout
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ((), "not named"),
+        (("absent", "absent", "absent"), r"absent\.pem"),
+        (("words", "words", "words"), "cannot be used for TLS"),
+        # A client's certificate file may hold its key as well: taken, and the call ends at the address.
+        (("own-ca", "both"), "no scheduler responds"),
+    ],
+)
+def test_unusable_certificates_are_named_before_a_scheduler_is_called(tmp_path: Path, stated, said: str) -> None:
+    _, certificate, key = _certificates(tmp_path, "own")
+    (tmp_path / "both.pem").write_text(certificate.read_text() + key.read_text())
+    (tmp_path / "words.pem").write_text("no certificate")
+    # The defaults are read before a file is stated: Dask takes away at the end what was absent at the start.
+    assert distributed.config["distributed"]
+    keys = [f"distributed.comm.tls.{key}" for key in ("ca-file", "client.cert", "client.key")]
+    files = dict(zip(keys, [str(tmp_path / f"{name}.pem") for name in stated], strict=False))
+    with dask.config.set(files), pytest.raises(ConfigError, match=said), module.workers("tls://127.0.0.1:1"):
+        pass

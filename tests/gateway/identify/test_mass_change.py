@@ -48,7 +48,7 @@ def answer(folder, command, bare, loaded, **about):
     (folder / "t.csv").write_text(table_text(1, [("none", bare), ("tool", loaded)], **about))
     (folder / "robot.urdf").write_text(URDF)
     result = folder / "r.json"
-    options = ("--robot", str(folder / "robot.urdf"), "--inertials", "prior:0.05", "--json", str(result), "--force")
+    options = ("--robot", str(folder / "robot.urdf"), "--inertials", "prior:0.05", "--json", str(result))
     done = CliRunner().invoke(main, [command, str(folder / "t.csv"), *options])
     return done.exit_code, json.loads(result.read_text())
 

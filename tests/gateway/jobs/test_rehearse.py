@@ -112,10 +112,11 @@ def test_an_answer_is_not_replaced_and_an_edited_one_not_continued(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    body = sealed({"schema": 1, "kind": "rehearsal", "runs": []})
-    Path("out.json").write_text(json.dumps(body | {"arm": "x"}), encoding="utf-8")
-    for arguments, said in (([], "--resume"), (["--resume"], "edited")):
-        result = CliRunner().invoke(main, ["rehearse", str(SMALL / "cell.toml"), "-o", "out.json", *arguments])
+    body = {"schema": 1, "kind": "rehearsal", "runs": []}
+    edited, resume = sealed(body) | {"arm": "x"}, ("--resume",)
+    for stored, words, said in ((body, (), "--resume"), (edited, resume, "edited"), (body, resume, "no sha256")):
+        Path("out.json").write_text(json.dumps(stored), encoding="utf-8")
+        result = CliRunner().invoke(main, ["rehearse", str(SMALL / "cell.toml"), "-o", "out.json", *words])
         assert result.exit_code == 3
         assert said in result.output
 
@@ -123,7 +124,7 @@ def test_an_answer_is_not_replaced_and_an_edited_one_not_continued(
 def test_another_plan_is_not_continued(tmp_path: Path) -> None:
     plan, other = {"schema": 1, "kind": "rest_plan", "arm": "main", "duration_s": 60.0}, [0.0] * 6
     plan["poses"] = [{"pose": k, "purpose": "fit", "q_rad": [0.1 * k] * 6} for k in range(4)]
-    (tmp_path / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
+    (tmp_path / "plan.json").write_text(json.dumps(sealed(plan)), encoding="utf-8")
     earlier = {"cell_sha256": "0", "arm": "main", "plan": {"q_rad": [other]}, "runs": []}
     with pytest.raises(InputError, match="another cell"):
         rehearse(SMALL / "cell.toml", plan_file=tmp_path / "plan.json", earlier=earlier)

@@ -63,7 +63,7 @@ def new_visits(seed, poses=8):
 
 def accepted(folder, data):
     words = ("accept", folder / "cell.toml", folder / "result.json", "--from", data, "--tolerance", "5%")
-    return run(*words, "--json", data.with_suffix(".json"), "--force")
+    return run(*words, "--json", data.with_suffix(".json"))
 
 
 TRIES = [range(3), range(3, 5), pytest.param(range(5, 17), marks=pytest.mark.slow)]
@@ -135,7 +135,7 @@ def test_compare_counts_shared_visits(identified, tmp_path):
     write_csv(again, tmp_path / "again.csv")
     assert run("estimate", tmp_path / "again.csv", "--cell", identified / "cell.toml", "--json", other).exit_code == 0
     for file, shared in ((other, {"none": 20}), (first, {"none": 20, "tool": 20})):
-        done = run("compare", first, file, "--json", tmp_path / "compared.json", "--force")
+        done = run("compare", first, file, "--json", tmp_path / "compared.json")
         assert done.exit_code in (0, 7), done.output
         body = json.loads((tmp_path / "compared.json").read_text())
         assert body["shared"] == {"visits": shared, "moving_samples": {}, "all": file == first}

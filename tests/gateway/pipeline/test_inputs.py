@@ -21,7 +21,7 @@ from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
 from gateway.result.result import Result
 from tests.cells import CELLS
 from tests.data.recordings import several
-from tests.data.visits import ARM_HEADER, header_of, visit
+from tests.data.visits import ARM_HEADER, both_sides, header_of, recording_of, visit
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 TABLE = "pose," + ",".join(f"q{i}_rad" for i in range(1, 7)) + ",i2_a\n1,0,0,0,0,0,0,2\n"
@@ -48,16 +48,9 @@ def record(tmp_path: Path) -> Callable[..., Path]:
     """Write a recording of two poses, made with a cell."""
 
     def make(cell: Path, name: str = "run.h5", serials: tuple[int | None, ...] = (), load: str = "none") -> Path:
-        loaded = load_cell(cell)
-        writer = RecordingWriter(tmp_path / name, header_of(loaded), None)
         identities = [{"node_id": n, "serial_number": serial} for n, serial in enumerate(serials, start=1)]
-        writer.begin(replace(ARM_HEADER, identities=identities))
-        for pose in (1, 2):
-            for side in (-1, 1):
-                writer.add("main", visit(pose, side, load=load, start_s=pose + 0.5 * side))
-        writer.finish("main", "success", "", {})
-        writer.close()
-        return tmp_path / name
+        arm = replace(ARM_HEADER, identities=identities)
+        return recording_of(tmp_path / name, header_of(load_cell(cell)), both_sides(1, 2, load=load), arm)
 
     return make
 

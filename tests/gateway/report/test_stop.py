@@ -90,7 +90,7 @@ def test_report_draws_the_box_beside_a_recording_and_the_box_itself(tmp_path):
     summary = json.loads(run("report", tmp_path / "run.h5", "-o", page, "--json", "-").stdout)
     assert summary == {"schema": 1, "report": str(page), "recording": "run.h5", "reason": REASON}
     beside = page.read_text(encoding="utf-8")
-    assert run("report", box.path, "-o", page, "--force").exit_code == 0
+    assert run("report", box.path, "-o", page).exit_code == 0
     assert page.read_text(encoding="utf-8") == beside
 
 

@@ -81,6 +81,7 @@ def test_what_is_written_again_carries_its_own_checksum(file):
     assert read_result(changed).robot == "other"
 
 
-def test_a_checksum_that_is_no_text_is_refused(file):
-    with pytest.raises(InputError, match="sha256: expected text"):
-        read_result(edited(file, lambda body: body.update(sha256=7)))
+def test_a_checksum_that_is_no_text_and_a_file_of_another_kind_are_refused(file):
+    for key, value, said in (("sha256", 7, "expected text"), ("kind", "rest_plan", "not a result")):
+        with pytest.raises(InputError, match=said):
+            read_result(edited(file, lambda body, key=key, value=value: body.update({key: value})))

@@ -84,7 +84,7 @@ def nothing_typed(place: Place, handle: RunningSimulation, seed: int) -> tuple[P
         words = ["--plan", plan, "--load", label, "-o", run, "--resume", "--bus", handle.bus, "--yes", "-q"]
         changed_cell = command("record", cell, *words)
         assert changed_cell.exit_code == 0, changed_cell.output
-    changed_cell = command("estimate", run, "--cell", cell, "--json", result, "--force", "-q")
+    changed_cell = command("estimate", run, "--cell", cell, "--json", result, "-q")
     assert changed_cell.exit_code == 0, changed_cell.output
     text = cell.read_text().replace("[[arm]]\n", f'[[arm]]\nidentified = "{result.name}"\n', 1)
     cell.write_text(text)
@@ -122,14 +122,14 @@ def identify(place: Place, handle: RunningSimulation) -> None:
         changed_cell = command("record", place.cell, "--load", label, "-o", run, "--bus", handle.bus, "--yes", "-q")
         assert changed_cell.exit_code == 0, changed_cell.output
     runs = [place.folder / "none.h5", place.folder / f"{LABEL}.h5"]
-    changed_cell = command("estimate", *runs, "--cell", place.cell, "--json", place.result, "--force", "-q")
+    changed_cell = command("estimate", *runs, "--cell", place.cell, "--json", place.result, "-q")
     assert changed_cell.exit_code == 0, changed_cell.output
 
 
 def follow_command(place: Place, handle: RunningSimulation, load: Path, out: Path, *options: object) -> Result:
     """`servo-gateway follow` with JSON and report, of the place's own cell."""
     files = ["--path", place.path, load, "--json", out.with_suffix(".json")]
-    return command("follow", place.cell, *files, "-o", out, "--bus", handle.bus, "--yes", "--force", "-q", *options)
+    return command("follow", place.cell, *files, "-o", out, "--bus", handle.bus, "--yes", "-q", *options)
 
 
 class VelocityAlone(FeedforwardLaw):

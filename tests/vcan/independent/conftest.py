@@ -54,7 +54,7 @@ class Place:
     def result(self, *words: object, bus: bool = True, code: int = 0) -> dict[str, Any]:
         """What a command writes as JSON."""
         path = self.folder / "out.json"
-        self.types(*words, "--json", path, "--force", bus=bus, code=code)
+        self.types(*words, "--json", path, bus=bus, code=code)
         return json.loads(path.read_text(encoding="utf-8"))
 
 

@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.clock]
 def test_good_drives_have_no_finding(place):
     """Two drives, one of them behind a gear that turns the other way: the others are of the same make."""
     out = place.folder / "drive-test"
-    place.types("check", place.cell, "--timing", "--axis", "J1", "--axis", "J2", "--yes", "--force", "-o", out)
+    place.types("check", place.cell, "--timing", "--axis", "J1", "--axis", "J2", "--yes", "-o", out)
     reports = [json.loads(path.read_text()) for path in sorted(out.glob("J*.json"))]
     assert [report["node"] for report in reports] == [1, 2]
     for report in reports:

@@ -24,7 +24,7 @@ from gateway.data.visit import NO_WORD
 from gateway.errors import InputError
 from gateway.excite.excitation import Series, fingerprint
 from tests.data.excitations import HOME_RAD
-from tests.data.visits import ARM_HEADER, CONSTANTS, header_of, visit
+from tests.data.visits import ARM_HEADER, CONSTANTS, header_of, recording_of, visit
 
 SYNC_S, N = 0.004, 500
 SERIES = Series("load", HOME_RAD, np.outer(np.ones(6), [0.4, -0.1, 0.0]), np.zeros((6, 3)), N * SYNC_S, 2)
@@ -87,15 +87,9 @@ def _in_repository(monkeypatch):
 @pytest.fixture
 def path(tmp_path, cell) -> Path:
     """A visit, two whole periods and one that lacks a SYNC."""
-    header = replace(ARM_HEADER, excitations={fingerprint(SERIES): SERIES.plain()})
-    writer = RecordingWriter(tmp_path / "run.h5", header_of(cell), None)
-    writer.begin(header)
-    writer.add("main", visit(1, -1))
-    for start, number, complete in ((100, 1, True), (600, 2, True), (1100, 2, False)):
-        writer.add("main", period(number, start=start, complete=complete))
-    writer.finish("main", "success", "all periods driven", {})
-    writer.close()
-    return tmp_path / "run.h5"
+    arm = replace(ARM_HEADER, excitations={fingerprint(SERIES): SERIES.plain()})
+    periods = [period(1, start=100), period(2, start=600), period(2, start=1100, complete=False)]
+    return recording_of(tmp_path / "run.h5", header_of(cell), [visit(1, -1), *periods], arm)
 
 
 def test_visits_and_periods_come_back_in_the_order_of_measuring(path):

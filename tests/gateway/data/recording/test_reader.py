@@ -17,9 +17,8 @@ from gateway.cell.conversion import AxisConversion
 from gateway.data.recording import seal
 from gateway.data.recording.reader import read
 from gateway.data.recording.writer import RecordingHeader, RecordingWriter, write_recording
-from gateway.data.visit import Visit
 from gateway.errors import InputError
-from tests.data.visits import ARM_HEADER, CONSTANTS, POSES, SAMPLES, header_of, visit
+from tests.data.visits import ARM_HEADER, CONSTANTS, POSES, SAMPLES, both_sides, header_of, recording_of, visit
 
 
 @pytest.fixture(scope="module")
@@ -37,21 +36,9 @@ def _in_repository(monkeypatch):
     monkeypatch.chdir(Path(__file__).parents[4])
 
 
-def write(path: Path, header: RecordingHeader, visits: list[Visit], finish: bool = True) -> Path:
-    writer = RecordingWriter(path, header, None)
-    writer.begin(ARM_HEADER)
-    for each in visits:
-        writer.add("main", each)
-    if finish:
-        writer.finish("main", "success", "all poses measured", {"cycles": 7})
-    writer.close()
-    return path
-
-
 @pytest.fixture
 def path(tmp_path, header) -> Path:
-    visits = [visit(pose, side, start_s=pose + 0.5 * side) for pose in (1, 2, 3) for side in (-1, 1)]
-    return write(tmp_path / "run.h5", header, visits)
+    return recording_of(tmp_path / "run.h5", header, both_sides(1, 2, 3))
 
 
 def test_everything_comes_back(path, header):
@@ -114,7 +101,7 @@ def test_table_has_two_rows_per_pose(path, cell):
 
 
 def test_a_run_that_was_cut_says_so_and_is_gone_on_with(tmp_path, header):
-    path = write(tmp_path / "run.h5", header, [visit(1, -1), visit(1, 1, start_s=1.0)], finish=False)
+    path = recording_of(tmp_path / "run.h5", header, [visit(1, -1), visit(1, 1, start_s=1.0)], finish=False)
     earlier = read(path)
     assert earlier.exit_status == "abort"
     assert "not finished" in earlier.reason
@@ -136,10 +123,10 @@ def test_a_run_that_was_cut_says_so_and_is_gone_on_with(tmp_path, header):
 
 def test_incomplete_visits_are_kept_but_no_rows(tmp_path, header):
     cut = replace(visit(2, -1), complete=False)
-    recording = read(write(tmp_path / "run.h5", header, [visit(1, -1), cut]))
+    recording = read(recording_of(tmp_path / "run.h5", header, [visit(1, -1), cut]))
     assert recording.arms[0].done("none") == ((1, -1),)
     assert recording.table().pose.tolist() == [1]
-    only = read(write(tmp_path / "cut.h5", header, [cut]))
+    only = read(recording_of(tmp_path / "cut.h5", header, [cut]))
     with pytest.raises(InputError, match="no complete visit"):
         only.table()
 

@@ -11,10 +11,9 @@ import pytest
 
 from gateway.cell.config import load_cell
 from gateway.data.recording.reader import read_unsealed
-from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import InputError
 from gateway.excite.excitation import fingerprint
-from tests.data.visits import ARM_HEADER, CELL, header_of, visit
+from tests.data.visits import ARM_HEADER, CELL, header_of, recording_of, visit
 from tests.gateway.data.recording.test_periods import SERIES, period
 
 WARM_C = np.array([40.0, 41.5, np.nan, 39.0, 38.5, 37.0])
@@ -23,15 +22,10 @@ WARM_C = np.array([40.0, 41.5, np.nan, 39.0, 38.5, 37.0])
 @pytest.fixture
 def path(tmp_path) -> Path:
     """Two visits and two periods, the second of each without temperatures."""
-    file = tmp_path / "run.h5"
-    writer = RecordingWriter(file, header_of(load_cell(CELL)), None)
-    writer.begin(replace(ARM_HEADER, excitations={fingerprint(SERIES): SERIES.plain()}))
-    writer.add("main", replace(visit(1, -1), temperature_c=WARM_C))
-    writer.add("main", visit(1, 1, start_s=1.0))
-    writer.add("main", replace(period(1, start=1000), temperature_c=WARM_C + 5.0))
-    writer.add("main", period(2, start=2000))
-    writer.close()
-    return file
+    warm = [replace(visit(1, -1), temperature_c=WARM_C), replace(period(1, start=1000), temperature_c=WARM_C + 5.0)]
+    content = [warm[0], visit(1, 1, start_s=1.0), warm[1], period(2, start=2000)]
+    arm = replace(ARM_HEADER, excitations={fingerprint(SERIES): SERIES.plain()})
+    return recording_of(tmp_path / "run.h5", header_of(load_cell(CELL)), content, arm, finish=False)
 
 
 def test_rows_have_the_temperature_that_was_read_and_nan_where_none_was(path, monkeypatch):

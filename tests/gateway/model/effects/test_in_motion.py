@@ -94,6 +94,7 @@ def test_columns_of_one_axis_are_their_closed_forms(motion, modelled):
         assert found.shape == (N, 1, term.count) == (N, 1, len(columns))
         assert found[:, 0] == pytest.approx(np.column_stack(columns), abs=1e-9), term
         assert term.enters(6) == (term.joints[0] - 1,)
+        assert len(term.parameters[: term.count]) == term.count, "each column has a name"
 
 
 @pytest.mark.parametrize("law", ["coil", "gas"])
